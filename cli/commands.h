@@ -1,0 +1,23 @@
+// The commands of the program: one file and one line each. A command's function adds its subcommand to the
+// parser and sets a callback that runs it; errors are thrown (main.cpp maps them to exit codes).
+#pragma once
+
+#include <CLI/CLI.hpp>
+
+namespace opaline::cli {
+
+/// What the callbacks leave behind for main: the exit code, where it is not 0 without being an error.
+struct Outcome {
+  int exit_code = 0;
+};
+
+using AddCommand = void (*)(CLI::App& app, Outcome& outcome);
+
+// Declarations (one a command).
+
+// The table that main.cpp walks, in the order of --help.
+inline constexpr AddCommand kCommands[] = {
+    nullptr,
+};
+
+}  // namespace opaline::cli
