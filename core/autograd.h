@@ -1,6 +1,7 @@
-// Reverse-mode differentiation. Each operation that sees an input with requires_grad() records one Node on its
-// result: the inputs and a function from the result's gradient to theirs. backward() walks the nodes from the
-// loss, each once, in an order that depends on the graph alone; a node's saved tensors die as soon as it is done.
+// Reverse-mode differentiation. Each operation that sees an input with requires_grad() records one Node on
+// its result: the inputs and a function from the result's gradient to theirs. backward() walks the nodes from
+// the loss, each once, in an order that depends on the graph alone; a node's saved tensors die as soon as it
+// is done.
 #pragma once
 
 #include <functional>
@@ -14,9 +15,9 @@
 
 namespace opaline {
 
-/// From the gradient of the result to the gradients of the inputs, one each, in order. `needs[i]` says whether
-/// input i wants one; an undefined Tensor stands for none. Save inputs with detach(), and results too: a node
-/// that held its own result would never die.
+/// From the gradient of the result to the gradients of the inputs, one each, in order. `needs[i]` says
+/// whether input i wants one; an undefined Tensor stands for none. Save inputs with detach(), and results
+/// too: a node that held its own result would never die.
 using BackwardFunction = std::function<std::vector<Tensor>(const Tensor& grad, std::span<const char> needs)>;
 
 struct Node {
@@ -46,7 +47,8 @@ bool should_record(std::initializer_list<const Tensor*> inputs);
 bool should_record(std::span<const Tensor> inputs);
 
 /// Hangs a node on `result` and returns it. Call only where should_record() holds.
-Tensor record(std::string_view operation, Tensor result, std::vector<Tensor> inputs, BackwardFunction backward);
+Tensor record(std::string_view operation, Tensor result, std::vector<Tensor> inputs,
+              BackwardFunction backward);
 
 /// Adds d(sum(root * seed))/d(leaf) to every leaf's grad(). An undefined seed means ones; root must then be a
 /// scalar. The graph is consumed: saved tensors are freed on the way.

@@ -15,7 +15,8 @@ namespace opaline {
 std::vector<std::byte> read_file(const std::filesystem::path& path, int64_t max_bytes = int64_t{1} << 34);
 std::string read_text(const std::filesystem::path& path, int64_t max_bytes = int64_t{1} << 30);
 
-/// Writes `path.tmp.<pid>`, syncs it, renames it to `path`, syncs the folder. A failure leaves what was there.
+/// Writes `path.tmp.<pid>`, syncs it, renames it to `path`, syncs the folder. A failure leaves what was
+/// there.
 void write_file_atomically(const std::filesystem::path& path, std::span<const std::byte> bytes);
 void write_file_atomically(const std::filesystem::path& path, std::string_view text);
 

@@ -39,7 +39,9 @@ double Random::uniform() {
   return static_cast<double>((high << 26) | low) * 0x1p-53;
 }
 
-float Random::uniform_float() { return static_cast<float>(bits() >> 8) * 0x1p-24F; }
+float Random::uniform_float() {
+  return static_cast<float>(bits() >> 8) * 0x1p-24F;
+}
 
 uint32_t Random::below(uint32_t n) {
   // Lemire's multiply and reject.
@@ -58,7 +60,8 @@ double Random::normal() {
 }
 
 void shuffle(std::span<int64_t> items, Random& random) {
-  for (auto i = static_cast<uint32_t>(items.size()); i > 1; --i) std::swap(items[i - 1], items[random.below(i)]);
+  for (auto i = static_cast<uint32_t>(items.size()); i > 1; --i)
+    std::swap(items[i - 1], items[random.below(i)]);
 }
 
 }  // namespace opaline

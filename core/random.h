@@ -1,6 +1,6 @@
 // Counter-based random numbers: Philox4x32-10 (Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy
-// as 1, 2, 3", SC 2011). A stream is a pure function of its key; there is no hidden or shared state, so nothing
-// depends on the order of threads or workers.
+// as 1, 2, 3", SC 2011). A stream is a pure function of its key; there is no hidden or shared state, so
+// nothing depends on the order of threads or workers.
 #pragma once
 
 #include <array>

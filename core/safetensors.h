@@ -18,10 +18,10 @@ struct SafetensorsFile {
   std::map<std::string, std::string> metadata;  ///< the header's "__metadata__"
 };
 
-/// Reads a file; types F32, F64, I64. Checks everything before it allocates: header length (at most 100 MB and
-/// inside the file), JSON, duplicate names, spans that overlap, leave gaps or end elsewhere than the file,
-/// shape x type against span. With a `xxh64` entry in the metadata (ours have one) the data is checked too.
-/// Throws Error naming the file and the tensor.
+/// Reads a file; types F32, F64, I64. Checks everything before it allocates: header length (at most 100 MB
+/// and inside the file), JSON, duplicate names, spans that overlap, leave gaps or end elsewhere than the
+/// file, shape x type against span. With a `xxh64` entry in the metadata (ours have one) the data is checked
+/// too. Throws Error naming the file and the tensor.
 SafetensorsFile load_safetensors(const std::filesystem::path& path);
 
 /// Writes to a temporary name beside `path`, syncs, renames; adds the checksum of the data to the metadata.

@@ -13,10 +13,11 @@ struct Conv2dOptions {
   Padding padding_mode = Padding::kZeros;  ///< kReflect needs padding < height and width
 };
 
-/// y[n,oh,ow,o] = bias[o] + sum_{i,kh,kw} x[n, oh*stride+kh-padding, ow*stride+kw-padding, i] * weight[o,i,kh,kw].
-/// x: N x H x W x I, weight: O x I x KH x KW, bias: O or undefined.
-/// Result: N x OH x OW x O with OH = (H + 2*padding - KH) / stride + 1 (floor).
-Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias = {}, const Conv2dOptions& options = {});
+/// y[n,oh,ow,o] = bias[o] + sum_{i,kh,kw} x[n, oh*stride+kh-padding, ow*stride+kw-padding, i] *
+/// weight[o,i,kh,kw]. x: N x H x W x I, weight: O x I x KH x KW, bias: O or undefined. Result: N x OH x OW x
+/// O with OH = (H + 2*padding - KH) / stride + 1 (floor).
+Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias = {},
+              const Conv2dOptions& options = {});
 
 struct ConvTranspose2dOptions {
   int64_t stride = 1;

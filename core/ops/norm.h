@@ -20,7 +20,8 @@ struct BatchNormOptions {
 /// training: batch statistics (biased variance) normalise; the running ones become
 /// (1 - momentum) * running + momentum * batch with the unbiased variance n / (n - 1), unchanged where n = 1.
 /// Otherwise the running statistics normalise.
-/// The running statistics are overwritten in place; an undefined pair means that none are kept (training only).
+/// The running statistics are overwritten in place; an undefined pair means that none are kept (training
+/// only).
 Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Tensor running_mean,
                   Tensor running_var, const BatchNormOptions& options = {});
 

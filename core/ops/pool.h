@@ -5,8 +5,8 @@
 
 namespace opaline {
 
-/// Maximum over non-overlapping `kernel` x `kernel` windows (stride = kernel, floor). The first maximum in row
-/// order takes the gradient, NaN wins, as in PyTorch.
+/// Maximum over non-overlapping `kernel` x `kernel` windows (stride = kernel, floor). The first maximum in
+/// row order takes the gradient, NaN wins, as in PyTorch.
 Tensor max_pool2d(const Tensor& x, int64_t kernel = 2);
 
 /// Mean over the windows [floor(i*H/OH), ceil((i+1)*H/OH)), as PyTorch's AdaptiveAvgPool2d.

@@ -1,0 +1,90 @@
+#include "core/memory.h"
+
+#include <algorithm>
+#include <cstdlib>
+
+#include "core/error.h"
+
+namespace opaline {
+namespace {
+
+constexpr int64_t kAlignment = 64;
+
+/// Sizes are rounded up to an eighth of their power of two, so that nearly equal requests share blocks while
+/// at most an eighth is wasted.
+int64_t bucket(int64_t bytes) {
+  int64_t step = kAlignment;
+  while (step * 16 <= bytes) step *= 2;
+  return std::max(kAlignment, (bytes + step - 1) / step * step);
+}
+
+}  // namespace
+
+Pool::~Pool() {
+  release_cached();
+}
+
+std::shared_ptr<std::byte> Pool::allocate(int64_t bytes) {
+  if (bytes < 0) fail("pool", "cannot allocate {} bytes", bytes);
+  const int64_t size = bucket(bytes);
+  std::byte* block = nullptr;
+  {
+    const std::lock_guard lock(mutex_);
+    if (auto& kept = free_[size]; !kept.empty()) {
+      block = kept.back();
+      kept.pop_back();
+    }
+    in_use_ += size;
+    peak_ = std::max(peak_, in_use_);
+  }
+  if (block == nullptr) {
+    block = static_cast<std::byte*>(std::aligned_alloc(kAlignment, static_cast<size_t>(size)));
+    if (block == nullptr) {
+      // Blocks of other sizes may be what is missing.
+      release_cached();
+      block = static_cast<std::byte*>(std::aligned_alloc(kAlignment, static_cast<size_t>(size)));
+    }
+    if (block == nullptr) {
+      const std::lock_guard lock(mutex_);
+      in_use_ -= size;
+      fail("pool", "out of memory: {} bytes asked for, {} in use; use a smaller micro_batch or image size",
+           size, in_use_);
+    }
+  }
+  return {block, [this, size](std::byte* freed) {
+            const std::lock_guard lock(mutex_);
+            in_use_ -= size;
+            free_[size].push_back(freed);
+          }};
+}
+
+int64_t Pool::bytes_in_use() const {
+  const std::lock_guard lock(mutex_);
+  return in_use_;
+}
+
+int64_t Pool::peak_bytes() const {
+  const std::lock_guard lock(mutex_);
+  return peak_;
+}
+
+void Pool::reset_peak() {
+  const std::lock_guard lock(mutex_);
+  peak_ = in_use_;
+}
+
+void Pool::release_cached() {
+  const std::lock_guard lock(mutex_);
+  for (auto& [size, blocks] : free_) {
+    for (std::byte* block : blocks) std::free(block);
+  }
+  free_.clear();
+}
+
+Pool& tensor_pool() {
+  // Never destroyed: tensors with static storage duration may outlive any order of destruction.
+  static Pool& pool = *new Pool;
+  return pool;
+}
+
+}  // namespace opaline

@@ -1,0 +1,284 @@
+#include "core/tensor.h"
+
+#include <algorithm>
+#include <cstring>
+
+#include "core/autograd.h"
+#include "core/memory.h"
+
+namespace opaline {
+
+struct Tensor::Impl {
+  Shape shape;
+  DType dtype = DType::kFloat32;
+  std::shared_ptr<std::byte> storage;
+  bool requires_grad = false;
+  Tensor grad;
+  std::shared_ptr<Node> node;
+
+  Impl(Shape s, DType d, std::shared_ptr<std::byte> bytes)
+      : shape(std::move(s)), dtype(d), storage(std::move(bytes)) {}
+  Impl(const Impl&) = delete;
+  Impl& operator=(const Impl&) = delete;
+
+  // A long graph would otherwise die by recursion, one stack frame a node.
+  ~Impl() {
+    std::vector<std::shared_ptr<Node>> dying;
+    if (node) dying.push_back(std::move(node));
+    while (!dying.empty()) {
+      const std::shared_ptr<Node> last = std::move(dying.back());
+      dying.pop_back();
+      if (last.use_count() > 1) continue;
+      for (Tensor& input : last->inputs) {
+        if (input.impl_ && input.impl_.use_count() == 1 && input.impl_->node) {
+          dying.push_back(std::move(input.impl_->node));
+        }
+      }
+    }
+  }
+};
+
+int64_t size_of(DType dtype) {
+  return dtype == DType::kFloat32 ? 4 : 8;
+}
+
+std::string to_string(DType dtype) {
+  switch (dtype) {
+    case DType::kFloat32:
+      return "float32";
+    case DType::kFloat64:
+      return "float64";
+    case DType::kInt64:
+      return "int64";
+  }
+  return "unknown";
+}
+
+std::string to_string(const Shape& shape) {
+  return shape.empty() ? "scalar" : fmt::format("{}", fmt::join(shape, "x"));
+}
+
+int64_t numel(const Shape& shape) {
+  int64_t product = 1;
+  for (const int64_t size : shape) product *= size;
+  return product;
+}
+
+Tensor::Tensor(Shape shape, DType dtype) {
+  for (const int64_t size : shape) {
+    if (size < 0) fail("tensor", "negative size in shape {}", to_string(shape));
+  }
+  auto storage = tensor_pool().allocate(opaline::numel(shape) * size_of(dtype));
+  impl_ = std::make_shared<Impl>(std::move(shape), dtype, std::move(storage));
+}
+
+Tensor Tensor::zeros(Shape shape, DType dtype) {
+  Tensor result(std::move(shape), dtype);
+  std::memset(result.bytes(), 0, static_cast<size_t>(result.byte_size()));
+  return result;
+}
+
+Tensor Tensor::full(Shape shape, double value, DType dtype) {
+  Tensor result(std::move(shape), dtype);
+  result.fill(value);
+  return result;
+}
+
+template <class T>
+Tensor Tensor::from(std::span<const T> values, Shape shape) {
+  if (static_cast<int64_t>(values.size()) != opaline::numel(shape)) {
+    fail("tensor", "{} values for shape {}", values.size(), to_string(shape));
+  }
+  Tensor result(std::move(shape), dtype_of<T>());
+  std::copy(values.begin(), values.end(), result.data<T>());
+  return result;
+}
+template Tensor Tensor::from(std::span<const float>, Shape);
+template Tensor Tensor::from(std::span<const double>, Shape);
+template Tensor Tensor::from(std::span<const int64_t>, Shape);
+
+Tensor Tensor::from(std::initializer_list<double> values, Shape shape, DType dtype) {
+  return from(std::span<const double>(values.begin(), values.size()), std::move(shape)).to(dtype);
+}
+
+const Tensor::Impl& Tensor::impl() const {
+  if (!impl_) fail("tensor", "is undefined");
+  return *impl_;
+}
+
+Tensor::Impl& Tensor::impl() {
+  if (!impl_) fail("tensor", "is undefined");
+  return *impl_;
+}
+
+const Shape& Tensor::shape() const {
+  return impl().shape;
+}
+
+int64_t Tensor::size(int64_t d) const {
+  const int64_t index = d < 0 ? d + dim() : d;
+  if (index < 0 || index >= dim()) fail("tensor", "no dimension {} in shape {}", d, to_string(shape()));
+  return shape()[static_cast<size_t>(index)];
+}
+
+int64_t Tensor::numel() const {
+  return opaline::numel(shape());
+}
+
+DType Tensor::dtype() const {
+  return impl().dtype;
+}
+
+const std::byte* Tensor::bytes() const {
+  return impl().storage.get();
+}
+
+std::byte* Tensor::bytes() {
+  return impl().storage.get();
+}
+
+template <class T>
+const T* Tensor::data() const {
+  if (dtype() != dtype_of<T>()) {
+    fail("tensor", "holds {}, read as {}", to_string(dtype()), to_string(dtype_of<T>()));
+  }
+  return reinterpret_cast<const T*>(bytes());
+}
+template const float* Tensor::data() const;
+template const double* Tensor::data() const;
+template const int64_t* Tensor::data() const;
+
+template <class T>
+T* Tensor::data() {
+  return const_cast<T*>(std::as_const(*this).data<T>());
+}
+template float* Tensor::data();
+template double* Tensor::data();
+template int64_t* Tensor::data();
+
+double Tensor::at(int64_t i) const {
+  if (i < 0 || i >= numel()) fail("tensor", "no element {} in shape {}", i, to_string(shape()));
+  switch (dtype()) {
+    case DType::kFloat32:
+      return static_cast<double>(data<float>()[i]);
+    case DType::kFloat64:
+      return data<double>()[i];
+    case DType::kInt64:
+      return static_cast<double>(data<int64_t>()[i]);
+  }
+  return 0.0;
+}
+
+double Tensor::item() const {
+  if (numel() != 1) fail("tensor", "item() of a tensor of shape {}", to_string(shape()));
+  return at(0);
+}
+
+Tensor Tensor::clone() const {
+  Tensor result(shape(), dtype());
+  std::memcpy(result.bytes(), bytes(), static_cast<size_t>(byte_size()));
+  return result;
+}
+
+namespace {
+
+template <class From, class To>
+void convert(const Tensor& from, Tensor& to) {
+  std::transform(from.data<From>(), from.data<From>() + from.numel(), to.data<To>(),
+                 [](From value) { return static_cast<To>(value); });
+}
+
+template <class From>
+void convert_from(const Tensor& from, Tensor& to) {
+  switch (to.dtype()) {
+    case DType::kFloat32:
+      return convert<From, float>(from, to);
+    case DType::kFloat64:
+      return convert<From, double>(from, to);
+    case DType::kInt64:
+      return convert<From, int64_t>(from, to);
+  }
+}
+
+}  // namespace
+
+Tensor Tensor::to(DType dtype) const {
+  if (dtype == this->dtype()) return detach();
+  Tensor result(shape(), dtype);
+  switch (this->dtype()) {
+    case DType::kFloat32:
+      convert_from<float>(*this, result);
+      break;
+    case DType::kFloat64:
+      convert_from<double>(*this, result);
+      break;
+    case DType::kInt64:
+      convert_from<int64_t>(*this, result);
+      break;
+  }
+  return result;
+}
+
+void Tensor::copy_from(const Tensor& other) {
+  if (other.shape() != shape() || other.dtype() != dtype()) {
+    fail("tensor", "cannot copy {} {} into {} {}", to_string(other.dtype()), to_string(other.shape()),
+         to_string(dtype()), to_string(shape()));
+  }
+  std::memcpy(bytes(), other.bytes(), static_cast<size_t>(byte_size()));
+}
+
+void Tensor::fill(double value) {
+  switch (dtype()) {
+    case DType::kFloat32:
+      std::fill_n(data<float>(), numel(), static_cast<float>(value));
+      break;
+    case DType::kFloat64:
+      std::fill_n(data<double>(), numel(), value);
+      break;
+    case DType::kInt64:
+      std::fill_n(data<int64_t>(), numel(), static_cast<int64_t>(value));
+      break;
+  }
+}
+
+Tensor Tensor::detach() const {
+  return view(shape());
+}
+
+Tensor Tensor::view(Shape shape) const {
+  if (opaline::numel(shape) != numel()) {
+    fail("view", "{} elements of shape {} do not fit shape {}", numel(), to_string(this->shape()),
+         to_string(shape));
+  }
+  Tensor result;
+  result.impl_ = std::make_shared<Impl>(std::move(shape), dtype(), impl().storage);
+  return result;
+}
+
+bool Tensor::requires_grad() const {
+  return impl().requires_grad || impl().node != nullptr;
+}
+
+Tensor& Tensor::set_requires_grad(bool on) {
+  if (on && !is_floating()) fail("tensor", "{} cannot have a gradient", to_string(dtype()));
+  impl().requires_grad = on;
+  return *this;
+}
+
+Tensor Tensor::grad() const {
+  return impl().grad;
+}
+
+void Tensor::set_grad(Tensor grad) {
+  impl().grad = std::move(grad);
+}
+
+const std::shared_ptr<Node>& Tensor::node() const {
+  return impl().node;
+}
+
+void Tensor::set_node(std::shared_ptr<Node> node) {
+  impl().node = std::move(node);
+}
+
+}  // namespace opaline
