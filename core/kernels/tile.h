@@ -1,0 +1,63 @@
+// The two register tiles that every convolution and matrix product is made of, for float and double, compiled
+// for several instruction sets and chosen at run time. Neither needs its inputs copied into panels of pixels:
+// channels-last images already have what a tile reads next to each other.
+#pragma once
+
+#include <cstdint>
+
+namespace opaline::kernels {
+
+/// c[i][j] = bias[j] + sum_{q < runs} sum_{k < run} a[i*a_stride + q*a_run_stride + k] * b[q*run + k][j]
+/// for i < rows, j < columns. For a convolution i is a pixel of an output row, q the kernel's row, and
+/// k runs over (kernel column, channel), which are contiguous in a channels-last image.
+template <class T>
+struct DotTile {
+  const T* a = nullptr;
+  int64_t a_stride = 0;
+  int64_t a_run_stride = 0;
+  int64_t runs = 1;
+  int64_t run = 0;
+  const T* b = nullptr;     ///< panel of [runs * run][width], zero beyond `columns`; 64-byte aligned
+  const T* bias = nullptr;  ///< `width` values or null for zeros
+  T* c = nullptr;
+  int64_t c_stride = 0;
+  int64_t rows = 0;     ///< at most Tiles::rows
+  int64_t columns = 0;  ///< at most the panel's width
+};
+
+/// c[i][j] += sum_{y < lines} sum_{x < pixels} a[y*a_line + x*a_stride + i] * b[y*b_line + x*b_stride + j]
+/// for i < rows, j < columns, in double: the gradient of a weight, summed over pixels.
+template <class T>
+struct OuterTile {
+  const T* a = nullptr;
+  int64_t a_line = 0;
+  int64_t a_stride = 0;
+  const T* b = nullptr;
+  int64_t b_line = 0;
+  int64_t b_stride = 0;
+  int64_t lines = 1;
+  int64_t pixels = 0;
+  double* c = nullptr;
+  int64_t c_stride = 0;
+  int64_t rows = 0;
+  int64_t columns = 0;  ///< at most Tiles::width()
+};
+
+/// The tiles of the best instruction set that this machine has.
+template <class T>
+struct Tiles {
+  int64_t rows = 0;                                                ///< most rows of a tile
+  int64_t lanes = 0;                                               ///< elements of a vector
+  void (*dot)(const DotTile<T>& tile, int64_t vectors) = nullptr;  ///< panel width = vectors * lanes; 1 or 2
+  void (*outer)(const OuterTile<T>& tile) = nullptr;
+  const char* instruction_set = "";
+
+  int64_t width() const { return 2 * lanes; }
+  /// Vectors of a panel for a matrix of this many columns.
+  int64_t vectors_for(int64_t columns) const { return columns <= lanes ? 1 : 2; }
+};
+
+template <class T>
+const Tiles<T>& tiles();
+
+}  // namespace opaline::kernels

@@ -1,0 +1,198 @@
+#include "core/ops/conv.h"
+
+#include <algorithm>
+#include <vector>
+
+#include "core/autograd.h"
+#include "core/kernels/conv.h"
+#include "core/parallel.h"
+
+namespace opaline {
+namespace {
+
+void check_image(std::string_view operation, const Tensor& x) {
+  if (x.dim() != 4) fail(operation, "input has shape {}, expected N x H x W x C", to_string(x.shape()));
+}
+
+void check_weight(std::string_view operation, const Tensor& x, const Tensor& weight, const Tensor& bias,
+                  int64_t in, int64_t out) {
+  if (weight.dtype() != x.dtype()) {
+    fail(operation, "input is {}, weight {}", to_string(x.dtype()), to_string(weight.dtype()));
+  }
+  if (x.size(3) != in) {
+    fail(operation, "input has {} channels, weight expects {} (input {}, weight {})", x.size(3), in,
+         to_string(x.shape()), to_string(weight.shape()));
+  }
+  if (bias.defined() && (bias.shape() != Shape{out} || bias.dtype() != x.dtype())) {
+    fail(operation, "bias is {} {}, expected {} {}", to_string(bias.dtype()), to_string(bias.shape()),
+         to_string(x.dtype()), out);
+  }
+}
+
+/// The gradient of a bias: dy summed over everything but the channels.
+Tensor bias_gradient(const Tensor& dy) {
+  const int64_t channels = dy.size(-1);
+  std::vector<double> sums(static_cast<size_t>(channels));
+  return dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
+    kernels::column_sums(dy.data<T>(), dy.numel() / std::max<int64_t>(channels, 1), channels, sums.data());
+    Tensor result({channels}, dy.dtype());
+    std::transform(sums.begin(), sums.end(), result.data<T>(), [](double v) { return static_cast<T>(v); });
+    return result;
+  });
+}
+
+/// Source row of padded row i: mirrored at the ends, which are not repeated.
+int64_t reflect(int64_t i, int64_t size) {
+  if (i < 0) return -i;
+  return i < size ? i : 2 * (size - 1) - i;
+}
+
+}  // namespace
+
+Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const Conv2dOptions& options) {
+  check_image("conv2d", x);
+  if (weight.dim() != 4)
+    fail("conv2d", "weight has shape {}, expected O x I x KH x KW", to_string(weight.shape()));
+  check_weight("conv2d", x, weight, bias, weight.size(1), weight.size(0));
+  if (options.stride < 1 || options.padding < 0) {
+    fail("conv2d", "stride {} and padding {}; expected at least 1 and 0", options.stride, options.padding);
+  }
+  if (options.padding_mode == Padding::kReflect && options.padding > 0) {
+    return conv2d(reflection_pad2d(x, options.padding), weight, bias, {.stride = options.stride});
+  }
+  const kernels::ConvShape s{.n = x.size(0),
+                             .h = x.size(1),
+                             .w = x.size(2),
+                             .in = x.size(3),
+                             .out = weight.size(0),
+                             .kernel_h = weight.size(2),
+                             .kernel_w = weight.size(3),
+                             .stride = options.stride,
+                             .padding = options.padding};
+  if (s.h + 2 * s.padding < s.kernel_h || s.w + 2 * s.padding < s.kernel_w) {
+    fail("conv2d", "input {} with padding {} is smaller than the kernel {}x{}", to_string(x.shape()),
+         s.padding, s.kernel_h, s.kernel_w);
+  }
+  Tensor y({s.n, s.out_h(), s.out_w(), s.out}, x.dtype());
+  dispatch_floating("conv2d", x.dtype(), [&]<class T>() {
+    kernels::conv_forward(s, x.data<T>(), weight.data<T>(), bias.defined() ? bias.data<T>() : nullptr,
+                          y.data<T>());
+  });
+  if (!should_record({&x, &weight, &bias})) return y;
+  return record("conv2d", y, {x, weight, bias},
+                [s, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
+                  std::vector<Tensor> grads(3);
+                  dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
+                    if (needs[0]) {
+                      grads[0] = Tensor(x.shape(), x.dtype());
+                      kernels::conv_input_gradient(s, dy.data<T>(), weight.data<T>(),
+                                                   static_cast<const T*>(nullptr), grads[0].data<T>());
+                    }
+                    if (needs[1]) {
+                      grads[1] = Tensor(weight.shape(), weight.dtype());
+                      kernels::conv_weight_gradient(s, x.data<T>(), dy.data<T>(), grads[1].data<T>());
+                    }
+                  });
+                  if (needs[2]) grads[2] = bias_gradient(dy);
+                  return grads;
+                });
+}
+
+// The forward pass is the input gradient of a convolution whose input is this one's output, and the other way
+// round; hence the same three kernels with x and y exchanged.
+Tensor conv_transpose2d(const Tensor& x, const Tensor& weight, const Tensor& bias,
+                        const ConvTranspose2dOptions& options) {
+  check_image("conv_transpose2d", x);
+  if (weight.dim() != 4) {
+    fail("conv_transpose2d", "weight has shape {}, expected I x O x KH x KW", to_string(weight.shape()));
+  }
+  check_weight("conv_transpose2d", x, weight, bias, weight.size(0), weight.size(1));
+  if (options.stride < 1 || options.padding < 0) {
+    fail("conv_transpose2d", "stride {} and padding {}; expected at least 1 and 0", options.stride,
+         options.padding);
+  }
+  const int64_t out_h = (x.size(1) - 1) * options.stride - 2 * options.padding + weight.size(2);
+  const int64_t out_w = (x.size(2) - 1) * options.stride - 2 * options.padding + weight.size(3);
+  if (out_h < 1 || out_w < 1) {
+    fail("conv_transpose2d", "input {} with stride {} and padding {} gives an output of {}x{}",
+         to_string(x.shape()), options.stride, options.padding, out_h, out_w);
+  }
+  const kernels::ConvShape s{.n = x.size(0),
+                             .h = out_h,
+                             .w = out_w,
+                             .in = weight.size(1),
+                             .out = weight.size(0),
+                             .kernel_h = weight.size(2),
+                             .kernel_w = weight.size(3),
+                             .stride = options.stride,
+                             .padding = options.padding};
+  Tensor y({s.n, s.h, s.w, s.in}, x.dtype());
+  dispatch_floating("conv_transpose2d", x.dtype(), [&]<class T>() {
+    kernels::conv_input_gradient(s, x.data<T>(), weight.data<T>(), bias.defined() ? bias.data<T>() : nullptr,
+                                 y.data<T>());
+  });
+  if (!should_record({&x, &weight, &bias})) return y;
+  return record("conv_transpose2d", y, {x, weight, bias},
+                [s, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
+                  std::vector<Tensor> grads(3);
+                  dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
+                    if (needs[0]) {
+                      grads[0] = Tensor(x.shape(), x.dtype());
+                      kernels::conv_forward(s, dy.data<T>(), weight.data<T>(), static_cast<const T*>(nullptr),
+                                            grads[0].data<T>());
+                    }
+                    if (needs[1]) {
+                      grads[1] = Tensor(weight.shape(), weight.dtype());
+                      kernels::conv_weight_gradient(s, dy.data<T>(), x.data<T>(), grads[1].data<T>());
+                    }
+                  });
+                  if (needs[2]) grads[2] = bias_gradient(dy);
+                  return grads;
+                });
+}
+
+Tensor reflection_pad2d(const Tensor& x, int64_t padding) {
+  check_image("reflection_pad2d", x);
+  const int64_t n = x.size(0), h = x.size(1), w = x.size(2), c = x.size(3), p = padding;
+  if (p < 0 || p >= h || p >= w) {
+    fail("reflection_pad2d", "padding {} needs 0 <= padding < height and width (input {})", p,
+         to_string(x.shape()));
+  }
+  const int64_t out_h = h + 2 * p, out_w = w + 2 * p;
+  Tensor y({n, out_h, out_w, c}, x.dtype());
+  dispatch_floating("reflection_pad2d", x.dtype(), [&]<class T>() {
+    const T* const from = x.data<T>();
+    T* const to = y.data<T>();
+    parallel_blocks(n * out_h, 16, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        const int64_t row = i / out_h * h + reflect(i % out_h - p, h);
+        for (int64_t j = 0; j < out_w; ++j) {
+          std::copy_n(from + (row * w + reflect(j - p, w)) * c, c, to + (i * out_w + j) * c);
+        }
+      }
+    });
+  });
+  if (!should_record({&x})) return y;
+  return record("reflection_pad2d", y, {x},
+                [n, h, w, c, p, out_h, out_w](const Tensor& dy, std::span<const char>) {
+                  Tensor dx = Tensor::zeros({n, h, w, c}, dy.dtype());
+                  dispatch_floating("reflection_pad2d", dy.dtype(), [&]<class T>() {
+                    const T* const from = dy.data<T>();
+                    T* const to = dx.data<T>();
+                    // Several padded pixels fold onto one: an image has one owner.
+                    parallel_for(n, [&](int64_t image) {
+                      for (int64_t i = 0; i < out_h; ++i) {
+                        const int64_t row = image * h + reflect(i - p, h);
+                        for (int64_t j = 0; j < out_w; ++j) {
+                          T* const target = to + (row * w + reflect(j - p, w)) * c;
+                          const T* const source = from + ((image * out_h + i) * out_w + j) * c;
+                          for (int64_t k = 0; k < c; ++k) target[k] += source[k];
+                        }
+                      }
+                    });
+                  });
+                  return std::vector<Tensor>{dx};
+                });
+}
+
+}  // namespace opaline
