@@ -34,7 +34,7 @@ class Adam {
   const AdamOptions& options() const { return options_; }
   const std::vector<NamedTensor>& parameters() const { return parameters_; }
   /// Number of calls of step() (and of the saved state it went on from).
-  int64_t step_count() const { return step_count_; }
+  int64_t step_count() const { return *step_count_.tensor.data<int64_t>(); }
 
   /// For each parameter `exp_avg.<name>`, `exp_avg_sq.<name>` and int64 `step.<name>`; and int64
   /// `step_count`. The live moments, not copies.
@@ -47,7 +47,7 @@ class Adam {
   AdamOptions options_;
   std::vector<NamedTensor> parameters_;
   std::vector<NamedTensor> moments1_, moments2_, steps_;
-  int64_t step_count_ = 0;
+  NamedTensor step_count_{"step_count", Tensor::zeros({}, DType::kInt64)};
 
   std::vector<NamedTensor> named_state() const;
 };
