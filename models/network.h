@@ -38,11 +38,14 @@ class Network : public Module {
   virtual Tensor forward(const Tensor& x) = 0;
 };
 
+/// Throws Error, naming the network, unless x is such an image of `channels` channels.
+void check_image_input(std::string_view network, const Tensor& x, int64_t channels);
+
 /// Makes a network with zero or constant weights; initialize_network() draws them. Throws UsageError on an
 /// unknown name and on sizes that the network cannot have.
 ///   normal, depth          N x H x W x n -> N x H x W x 3, N x H x W x 1
 ///   illumination           N x H x W x n -> N x 27 (28)
-///   illumination_decoder   N x 27 (28) -> N x S' x S' x 1, S' the power of two at or over S
+///   illumination_decoder   N x 27 (28) -> N x S' x S' x 1, S' the power of two at or over S, at most 256
 ///   sss                    N x H x W x (5 + n) -> N x 8 (7)
 ///   reconstruction         N x H x W x (12 + 8 (7)) -> N x H x W x 12
 std::unique_ptr<Network> make_network(std::string_view name, const NetworkOptions& options = {});
