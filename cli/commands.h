@@ -14,9 +14,11 @@ struct Outcome {
 using AddCommand = void (*)(CLI::App& app, Outcome& outcome);
 
 // Declarations (one a command).
+void add_forward(CLI::App& app, Outcome& outcome);
 
 // The table that main.cpp walks, in the order of --help.
 inline constexpr AddCommand kCommands[] = {
+    add_forward,
     nullptr,
 };
 

@@ -1,0 +1,123 @@
+// `opaline forward`: one network on one tensor, with gradients on request. This is how weights and results
+// are compared with other implementations.
+#include <filesystem>
+#include <string>
+
+#include "cli/commands.h"
+#include "core/autograd.h"
+#include "core/ops/shape.h"
+#include "core/safetensors.h"
+#include "models/network.h"
+
+namespace opaline::cli {
+namespace {
+
+struct ForwardArguments {
+  std::string network;
+  std::filesystem::path weights, input, output;
+  std::string mode = "eval";
+  std::string dtype = "float32";
+  std::string variant = "release";
+  NetworkOptions options;
+  bool grad = false;
+  bool force = false;
+};
+
+// Images are N x C x H x W in files and channels last inside; vectors are the same in both.
+Tensor inward(const Tensor& x) {
+  return x.dim() == 4 ? to_nhwc(x) : x;
+}
+Tensor outward(const Tensor& x) {
+  return x.dim() == 4 ? to_nchw(x) : x;
+}
+
+Tensor read_tensor(const TensorMap& tensors, const std::string& name, DType dtype, const std::string& file) {
+  const auto found = tensors.find(name);
+  if (found == tensors.end()) fail(file, "has no tensor '{}'", name);
+  if (!found->second.is_floating()) fail(file, "tensor '{}' is not floating", name);
+  return found->second.to(dtype);
+}
+
+Tensor gradient_or_zeros(const Tensor& leaf) {
+  return leaf.grad().defined() ? leaf.grad() : Tensor::zeros(leaf.shape(), leaf.dtype());
+}
+
+void run_forward(const ForwardArguments& arguments) {
+  NetworkOptions options = arguments.options;
+  options.dtype = arguments.dtype == "float64" ? DType::kFloat64 : DType::kFloat32;
+  options.variant = arguments.variant == "paper" ? Variant::kPaper : Variant::kRelease;
+  const bool training = arguments.mode == "train";
+  const std::string input_file = arguments.input.string();
+
+  const std::unique_ptr<Network> network = make_network(arguments.network, options);
+  network->load_state_dict(load_safetensors(arguments.weights).tensors,
+                           {.allow_non_finite = arguments.force, .source = arguments.weights.string()});
+  network->set_training(training);
+  network->set_requires_grad(arguments.grad);
+
+  const TensorMap input = load_safetensors(arguments.input).tensors;
+  Tensor x = inward(read_tensor(input, "x", options.dtype, input_file));
+  x.set_requires_grad(arguments.grad);
+  const Tensor y = network->forward(x);
+
+  TensorMap result;
+  result["y"] = outward(y.detach());
+  if (arguments.grad) {
+    const Tensor cotangent = inward(read_tensor(input, "cotangent", options.dtype, input_file));
+    if (cotangent.shape() != y.shape()) {
+      fail(input_file, "tensor 'cotangent' is {}, the output {}", to_string(outward(cotangent).shape()),
+           to_string(result["y"].shape()));
+    }
+    backward(y, cotangent);
+    result["grad.x"] = outward(gradient_or_zeros(x));
+    for (const NamedTensor& parameter : network->named_parameters()) {
+      result["grad." + parameter.name] = gradient_or_zeros(parameter.tensor);
+    }
+  }
+  if (training) {
+    for (const NamedTensor& buffer : network->named_buffers()) {
+      result["buffer." + buffer.name] = buffer.tensor;
+    }
+  }
+  save_safetensors(arguments.output, result);
+}
+
+}  // namespace
+
+void add_forward(CLI::App& app, Outcome&) {
+  const auto arguments = std::make_shared<ForwardArguments>();
+  CLI::App* command = app.add_subcommand(
+      "forward",
+      "Run one network on tensor 'x' (N x C x H x W; N x K for the decoder) and write 'y'.\n"
+      "Sizes are the released ones unless told otherwise.");
+  command->add_option("network", arguments->network, fmt::format("One of {}", fmt::join(kNetworkNames, ", ")))
+      ->required()
+      ->check(CLI::IsMember(std::vector<std::string>(kNetworkNames.begin(), kNetworkNames.end())));
+  command->add_option("--weights", arguments->weights, "Weights, safetensors with PyTorch's names")
+      ->required();
+  command->add_option("--input", arguments->input, "safetensors with 'x' and, for --grad, 'cotangent'")
+      ->required();
+  command->add_option("--output", arguments->output, "safetensors to write")->required();
+  command
+      ->add_option("--mode", arguments->mode,
+                   "train (batch statistics; writes 'buffer.<name>') or eval (running statistics)")
+      ->check(CLI::IsMember({"train", "eval"}))
+      ->capture_default_str();
+  command->add_flag("--grad", arguments->grad,
+                    "Also the gradient of sum(y * cotangent), as 'grad.x' and 'grad.<parameter>'");
+  command->add_option("--dtype", arguments->dtype, "Type of weights, arithmetic and results")
+      ->check(CLI::IsMember({"float32", "float64"}))
+      ->capture_default_str();
+  command->add_option("--variant", arguments->variant, "Channel counts")
+      ->check(CLI::IsMember({"paper", "release"}))
+      ->capture_default_str();
+  command->add_option("--size", arguments->options.image_size, "Build size")->capture_default_str();
+  command->add_option("--width", arguments->options.width, "Channels of the first layer")
+      ->capture_default_str();
+  command->add_option("--channels", arguments->options.input_channels, "Channels of the network input")
+      ->capture_default_str();
+  command->add_flag("--force", arguments->force, "Take weights that hold NaN or infinities");
+  command->callback([arguments] { run_forward(*arguments); });
+}
+
+}  // namespace opaline::cli
