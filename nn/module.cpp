@@ -48,7 +48,7 @@ TensorMap Module::state_dict() const {
   return to_map(named_state());
 }
 
-void Module::load_state_dict(const TensorMap& state, const LoadOptions& options) {
+void Module::load_state_dict(const TensorMap& state, const LoadStateOptions& options) {
   load_state(named_state(), state, options);
 }
 

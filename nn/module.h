@@ -37,7 +37,7 @@ struct NamedTensor {
   InitialValue initial = {};
 };
 
-struct LoadOptions {
+struct LoadStateOptions {
   bool allow_non_finite = false;  ///< take NaN and infinities
   std::string source = "state";   ///< what errors call the tensors: a file, say
 };
@@ -61,7 +61,7 @@ class Module {
   /// Overwrites parameters and buffers in place; floating types are converted. Names and shapes must be the
   /// module's own: otherwise Error lists everything missing, extra or mis-shaped, and nothing is changed. So
   /// do NaN and infinities unless allowed.
-  void load_state_dict(const TensorMap& state, const LoadOptions& options = {});
+  void load_state_dict(const TensorMap& state, const LoadStateOptions& options = {});
 
   /// Training or evaluation mode, children included. Modules start in training mode.
   void set_training(bool on);
