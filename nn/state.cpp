@@ -56,7 +56,8 @@ bool all_finite(const Tensor& tensor) {
   });
 }
 
-void load_state(const std::vector<NamedTensor>& entries, const TensorMap& state, const LoadStateOptions& options) {
+void load_state(const std::vector<NamedTensor>& entries, const TensorMap& state,
+                const LoadStateOptions& options) {
   const std::vector<std::string> lines = differences(entries, state, options.allow_non_finite);
   if (!lines.empty()) {
     fail(options.source, "does not fit: {} difference{} in {} expected tensors\n  {}", lines.size(),

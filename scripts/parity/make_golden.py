@@ -1,0 +1,93 @@
+#!/usr/bin/python3
+"""Writes tests/models/golden/<network>.safetensors: what PyTorch gives for small networks in float64.
+
+Weights, inputs and cotangents come from an integer hash (pattern below, also in tests/models/pattern.h), so
+the files hold results only: for every tensor its norm and three projections on hashed vectors, and a sample
+of y.
+Takes a few seconds:  scripts/parity/make_golden.py
+"""
+
+import math
+import pathlib
+import sys
+
+import numpy as np
+import torch
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "scripts" / "golden"), str(ROOT / "scripts" / "parity")]
+
+import networks  # noqa: E402
+import safetensors_io  # noqa: E402
+
+WIDTH = 4
+BUILD_SIZE = 32
+# Where the image differs from the build size, encoders average their maps to the grid they were built for.
+RUN_SIZE = {"illumination": 48, "sss": 64}
+INPUT, COTANGENT, PROBES = 1000, 1001, (2000, 2001, 2002)
+
+
+def pattern(shape, tag):
+    """Numbers in (-1, 1) that depend on the tag and the row-major index alone."""
+    mask = np.uint64(0xFFFFFFFF)
+    h = (np.arange(math.prod(shape), dtype=np.uint64) * np.uint64(2654435761)
+         + np.uint64((tag + 1) * 2246822519)) & mask
+    h = ((h ^ (h >> np.uint64(15))) * np.uint64(2246822519)) & mask
+    h = ((h ^ (h >> np.uint64(13))) * np.uint64(3266489917)) & mask
+    h = h ^ (h >> np.uint64(16))
+    return ((h.astype(np.float64) + 0.5) / 2.0**31 - 1.0).reshape(shape)
+
+
+def set_state(model):
+    with torch.no_grad():
+        for tag, (name, tensor) in enumerate(model.state_dict().items()):
+            value = torch.from_numpy(pattern(tuple(tensor.shape), tag))
+            if name.endswith("num_batches_tracked"):
+                tensor.fill_(3)
+            elif name.endswith("running_mean"):
+                tensor.copy_(0.1 * value)
+            elif name.endswith("running_var"):
+                tensor.copy_(1.0 + 0.5 * value)
+            elif tensor.dim() > 1:
+                tensor.copy_(0.14 * value)
+            elif name.endswith("weight"):
+                tensor.copy_(1.0 + 0.2 * value)
+            else:
+                tensor.copy_(0.2 * value)
+
+
+def summary(tensor):
+    """Norm and projections, the latter divided by the root of the number of elements."""
+    value = tensor.detach().double().numpy().ravel()
+    projections = [value @ pattern(value.shape, tag) / math.sqrt(value.size) for tag in PROBES]
+    return [np.linalg.norm(value), *projections]
+
+
+def results(name, mode):
+    model = networks.make(name, WIDTH, BUILD_SIZE).double()
+    set_state(model)
+    model.train(mode == "train")
+    batch = 2 if name in ("normal", "depth", "reconstruction") else 8
+    shape = networks.input_shape(name, batch, RUN_SIZE.get(name, BUILD_SIZE))
+    x = torch.from_numpy(pattern(shape, INPUT)).requires_grad_(True)
+    y = model(x)
+    (y * torch.from_numpy(pattern(tuple(y.shape), COTANGENT))).sum().backward()
+    sample = y.detach().numpy()
+    if sample.ndim == 4:
+        sample = np.ascontiguousarray(sample[:, :, ::8, ::8])
+    found = {"shape": np.array(shape, dtype=np.int64), "y": np.array(summary(y)), "y_sample": sample,
+             "gradients": np.array([summary(x.grad)] + [summary(p.grad) for p in model.parameters()])}
+    if mode == "train":
+        found["buffers"] = np.array([summary(buffer) for buffer in model.buffers()])
+    return {f"{mode}.{key}": value for key, value in found.items()}
+
+
+def main():
+    torch.set_num_threads(1)
+    folder = ROOT / "tests" / "models" / "golden"
+    for name in networks.NAMES:
+        safetensors_io.save(folder / f"{name}.safetensors", results(name, "train") | results(name, "eval"))
+
+
+if __name__ == "__main__":
+    main()
