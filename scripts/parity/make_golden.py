@@ -1,7 +1,8 @@
 #!/usr/bin/python3
-"""Writes tests/models/golden/<network>.safetensors: what PyTorch gives for small networks in float64.
+"""Writes tests/models/golden/<network>.safetensors, what PyTorch gives for small networks in float64, and
+tests/nn/golden/adam_steps.safetensors, ten steps of its Adam.
 
-Weights, inputs and cotangents come from an integer hash (pattern below, also in tests/models/pattern.h), so
+Weights, inputs and cotangents come from an integer hash (pattern below, also in tests/pattern.h), so
 the files hold results only: for every tensor its norm and three projections on hashed vectors, and a sample
 of y.
 Takes a few seconds:  scripts/parity/make_golden.py
@@ -82,11 +83,40 @@ def results(name, mode):
     return {f"{mode}.{key}": value for key, value in found.items()}
 
 
+def adam_steps(dtype):
+    """Three parameters through ten steps at a falling rate; the last has no gradient in steps 3 to 5."""
+    shapes = {"a": (7, 5), "b": (3, 2, 3, 3), "c": (11,)}
+    parameters = {name: torch.nn.Parameter(torch.from_numpy(pattern(shape, tag)).to(dtype))
+                  for tag, (name, shape) in enumerate(shapes.items())}
+    optimizer = torch.optim.Adam(parameters.values(), lr=2e-2, betas=(0.5, 0.999), eps=1e-8)
+    found = {}
+    for step in range(10):
+        for group in optimizer.param_groups:
+            group["lr"] = 2e-2 * (1.0 - max(0.0, step - 5) / 5)
+        for tag, (name, parameter) in enumerate(parameters.items()):
+            gradient = torch.from_numpy(pattern(shapes[name], 100 * (step + 1) + tag)).to(dtype)
+            parameter.grad = None if name == "c" and 3 <= step <= 5 else gradient
+        optimizer.step()
+        for name, parameter in parameters.items():
+            found[f"{step}.{name}"] = parameter.detach().numpy().copy()
+    for name, parameter in parameters.items():
+        state = optimizer.state[parameter]
+        found[f"exp_avg.{name}"] = state["exp_avg"].numpy()
+        found[f"exp_avg_sq.{name}"] = state["exp_avg_sq"].numpy()
+        found[f"step.{name}"] = np.array(int(state["step"]), dtype=np.int64)
+    return found
+
+
 def main():
     torch.set_num_threads(1)
-    folder = ROOT / "tests" / "models" / "golden"
+    models = ROOT / "tests" / "models" / "golden"
     for name in networks.NAMES:
-        safetensors_io.save(folder / f"{name}.safetensors", results(name, "train") | results(name, "eval"))
+        safetensors_io.save(models / f"{name}.safetensors", results(name, "train") | results(name, "eval"))
+    nn = ROOT / "tests" / "nn" / "golden"
+    nn.mkdir(exist_ok=True)
+    found = {f"{key}.{name}": value for key, dtype in (("float64", torch.float64), ("float32", torch.float32))
+             for name, value in adam_steps(dtype).items()}
+    safetensors_io.save(nn / "adam_steps.safetensors", found)
 
 
 if __name__ == "__main__":

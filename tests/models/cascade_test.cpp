@@ -9,7 +9,7 @@
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
 #include "core/ops/unary.h"
-#include "tests/models/pattern.h"
+#include "tests/pattern.h"
 
 namespace opaline {
 namespace {

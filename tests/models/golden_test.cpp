@@ -9,7 +9,7 @@
 #include "core/ops/shape.h"
 #include "core/safetensors.h"
 #include "models/network.h"
-#include "tests/models/pattern.h"
+#include "tests/pattern.h"
 
 namespace opaline {
 namespace {

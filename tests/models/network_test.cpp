@@ -9,7 +9,7 @@
 #include "core/autograd.h"
 #include "core/parallel.h"
 #include "models/network.h"
-#include "tests/models/pattern.h"
+#include "tests/pattern.h"
 
 namespace opaline {
 namespace {
