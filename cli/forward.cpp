@@ -8,6 +8,7 @@
 #include "core/ops/shape.h"
 #include "core/safetensors.h"
 #include "models/network.h"
+#include "train/config.h"
 
 namespace opaline::cli {
 namespace {
@@ -17,8 +18,9 @@ struct ForwardArguments {
   std::filesystem::path weights, input, output;
   std::string mode = "eval";
   std::string dtype = "float32";
+  std::filesystem::path config;
   std::string variant = "release";
-  NetworkOptions options;
+  NetworkOptions options;  // where there is no config
   bool grad = false;
   bool force = false;
 };
@@ -42,10 +44,17 @@ Tensor gradient_or_zeros(const Tensor& leaf) {
   return leaf.grad().defined() ? leaf.grad() : Tensor::zeros(leaf.shape(), leaf.dtype());
 }
 
-void run_forward(const ForwardArguments& arguments) {
+// The config's sizes, or the released ones with what the command line says.
+NetworkOptions network_options(const ForwardArguments& arguments) {
   NetworkOptions options = arguments.options;
-  options.dtype = arguments.dtype == "float64" ? DType::kFloat64 : DType::kFloat32;
   options.variant = arguments.variant == "paper" ? Variant::kPaper : Variant::kRelease;
+  if (!arguments.config.empty()) options = cascade_options(load_run_config(arguments.config), 2).network;
+  options.dtype = arguments.dtype == "float64" ? DType::kFloat64 : DType::kFloat32;
+  return options;
+}
+
+void run_forward(const ForwardArguments& arguments) {
+  const NetworkOptions options = network_options(arguments);
   const bool training = arguments.mode == "train";
   const std::string input_file = arguments.input.string();
 
@@ -108,14 +117,15 @@ void add_forward(CLI::App& app, Outcome&) {
   command->add_option("--dtype", arguments->dtype, "Type of weights, arithmetic and results")
       ->check(CLI::IsMember({"float32", "float64"}))
       ->capture_default_str();
-  command->add_option("--variant", arguments->variant, "Channel counts")
-      ->check(CLI::IsMember({"paper", "release"}))
-      ->capture_default_str();
-  command->add_option("--size", arguments->options.image_size, "Build size")->capture_default_str();
-  command->add_option("--width", arguments->options.width, "Channels of the first layer")
-      ->capture_default_str();
-  command->add_option("--channels", arguments->options.input_channels, "Channels of the network input")
-      ->capture_default_str();
+  CLI::Option* config = command->add_option("--config", arguments->config,
+                                            "Training config that gives variant, sizes and channels");
+  const auto add_size = [&](const std::string& name, auto& value, const std::string& text) {
+    return command->add_option(name, value, text)->capture_default_str()->excludes(config);
+  };
+  add_size("--variant", arguments->variant, "Channel counts")->check(CLI::IsMember({"paper", "release"}));
+  add_size("--size", arguments->options.image_size, "Build size");
+  add_size("--width", arguments->options.width, "Channels of the first layer");
+  add_size("--channels", arguments->options.input_channels, "Channels of the network input");
   command->add_flag("--force", arguments->force, "Take weights that hold NaN or infinities");
   command->callback([arguments] { run_forward(*arguments); });
 }
