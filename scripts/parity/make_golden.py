@@ -21,7 +21,8 @@ sys.path[:0] = [str(ROOT / "scripts" / "golden"), str(ROOT / "scripts" / "parity
 import networks  # noqa: E402
 import safetensors_io  # noqa: E402
 
-WIDTH = 4
+# At width 4 the decoder's last hidden layer has one channel, and its ReLU may die.
+WIDTH = {name: 16 if name == "illumination_decoder" else 4 for name in networks.NAMES}
 BUILD_SIZE = 32
 # Where the image differs from the build size, encoders average their maps to the grid they were built for.
 RUN_SIZE = {"illumination": 48, "sss": 64}
@@ -65,7 +66,7 @@ def summary(tensor):
 
 
 def results(name, mode):
-    model = networks.make(name, WIDTH, BUILD_SIZE).double()
+    model = networks.make(name, WIDTH[name], BUILD_SIZE).double()
     set_state(model)
     model.train(mode == "train")
     batch = 2 if name in ("normal", "depth", "reconstruction") else 8
