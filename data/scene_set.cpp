@@ -1,0 +1,416 @@
+#include "data/scene_set.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "core/error.h"
+#include "core/file.h"
+#include "data/toml_config.h"
+
+namespace opaline {
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::vector<std::string> kStokesNames = {"S0.R", "S0.G", "S0.B", "S1.R", "S1.G",
+                                               "S1.B", "S2.R", "S2.G", "S2.B"};
+const std::vector<std::string> kTruthNames = {"normal.X", "normal.Y", "normal.Z", "depth.Z", "mask.A"};
+const std::vector<std::string> kMaskName = {"mask.A"};
+constexpr size_t kTruthChannels = 5;
+
+constexpr float kLargest = 6e4F;  // half floats end at 65504
+constexpr float kSigmaTScale = 32.0F;
+constexpr int kFormatVersion = 1;
+
+// What we write; a reader converts the alternatives of the first three and refuses anything else.
+constexpr std::string_view kS1 = "I0 - I90";
+constexpr std::string_view kS1Flipped = "I90 - I0";
+constexpr std::string_view kS2 = "I45 - I135";
+constexpr std::string_view kS2Flipped = "I135 - I45";
+constexpr std::string_view kSigmaT = "per metre";
+constexpr std::string_view kSigmaTNormalised = "divided by 32";
+constexpr std::string_view kLight = "linear, S0 = 2 is white";
+constexpr std::string_view kAngles = "0 along image x, counter-clockwise as seen";
+constexpr std::string_view kAxes = "camera: x right, y up, z towards the camera";
+constexpr std::string_view kDepth = "z / 0.25 m, larger is nearer";
+constexpr std::string_view kSh =
+    "real, orthonormal, no Condon-Shortley sign, (0,0) (1,-1) (1,0) (1,1) (2,-2) .. (2,2), polar axis z";
+
+/// Which conversions a set needs.
+struct Conventions {
+  float s1 = 1.0F;  ///< factor on S1
+  float s2 = 1.0F;
+  float sigma_t = 1.0F;
+};
+
+struct SetFile {
+  SceneSetInfo info;
+  Conventions conventions;
+};
+
+std::string quote(std::string_view text) {
+  std::string quoted = "\"";
+  for (const char c : text) {
+    if (c == '"' || c == '\\') {
+      quoted += '\\';
+      quoted += c;
+    } else if (c == '\n') {
+      quoted += "\\n";
+    } else if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) {
+      quoted += fmt::format("\\u{:04X}", static_cast<unsigned>(c));
+    } else {
+      quoted += c;
+    }
+  }
+  return quoted + '"';
+}
+
+float sign_of(const TomlTable& table, std::string_view key, std::string_view ours, std::string_view flipped) {
+  const std::array<std::string_view, 2> choices = {ours, flipped};
+  return table.choice(key, ours, choices) == ours ? 1.0F : -1.0F;
+}
+
+void expect(const TomlTable& table, std::string_view key, std::string_view ours) {
+  table.choice(key, ours, {&ours, 1});
+}
+
+SetFile read_set_file(const fs::path& root) {
+  // A bad dataset.toml is damaged data (exit code 1), not a config the user wrote (2).
+  try {
+    TomlConfig config = TomlConfig::from_file(root / "dataset.toml");
+    const TomlTable top = config.root();
+    SetFile file;
+    SceneSetInfo& info = file.info;
+    top.integer("version", kFormatVersion, {.min = kFormatVersion, .max = kFormatVersion});
+    info.generator = top.text("generator", info.generator);
+    info.generator_version = top.text("generator_version", "");
+    info.seed = std::stoull("0" + top.text("seed", "0"));
+    info.train = top.integer("train", 0, {.min = 0});
+    info.test = top.integer("test", 0, {.min = 0});
+    info.width = static_cast<int>(top.integer("width", 0, {.min = 1, .max = ExrLimits().max_side}));
+    info.height = static_cast<int>(top.integer("height", 0, {.min = 1, .max = ExrLimits().max_side}));
+    for (const char* key : {"version", "width", "height"}) top.require(key);
+    constexpr std::array<std::string_view, 2> kReadings = {"clear", "reflection"};
+    info.bsdf = top.choice("bsdf", "clear", kReadings);
+    info.config_text = top.text("config", "");
+    const TomlTable conventions = top.table("conventions");
+    file.conventions.s1 = sign_of(conventions, "s1", kS1, kS1Flipped);
+    file.conventions.s2 = sign_of(conventions, "s2", kS2, kS2Flipped);
+    const std::array<std::string_view, 2> units = {kSigmaT, kSigmaTNormalised};
+    if (conventions.choice("sigma_t", kSigmaT, units) != kSigmaT) file.conventions.sigma_t = kSigmaTScale;
+    expect(conventions, "light", kLight);
+    expect(conventions, "angles", kAngles);
+    expect(conventions, "axes", kAxes);
+    expect(conventions, "depth", kDepth);
+    expect(conventions, "sh", kSh);
+    config.finish();
+    return file;
+  } catch (const UsageError& e) {
+    throw Error(e.what());
+  } catch (const std::logic_error& e) {
+    fail((root / "dataset.toml").string(), "'seed' is not a whole number");
+  }
+}
+
+/// Copies a window of `values` (interleaved, `channels` wide) out of a full image.
+std::vector<float> cut(const std::vector<float>& values, int width, int channels, const Window& window) {
+  std::vector<float> result;
+  result.reserve(static_cast<size_t>(window.pixels() * channels));
+  for (int y = window.y0; y < window.y1; ++y) {
+    const auto row =
+        values.begin() + (static_cast<std::ptrdiff_t>(y) * width + window.x0) * std::ptrdiff_t{channels};
+    result.insert(result.end(), row, row + std::ptrdiff_t{window.width()} * channels);
+  }
+  return result;
+}
+
+/// Calls put(pixel of the image, values of the part there) where the part's window lies on the image.
+template <class Put>
+void for_each_pixel(const ExrPart& part, int width, int height, const Put& put) {
+  const size_t channels = part.channels.size();
+  const Window& w = part.window;
+  for (int y = std::max(w.y0, 0); y < std::min(w.y1, height); ++y) {
+    for (int x = std::max(w.x0, 0); x < std::min(w.x1, width); ++x) {
+      const auto from =
+          static_cast<size_t>(y - w.y0) * static_cast<size_t>(w.width()) + static_cast<size_t>(x - w.x0);
+      put(static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x),
+          part.pixels.data() + from * channels);
+    }
+  }
+}
+
+int64_t clamp_to_half(std::vector<float>& values, const std::string& where) {
+  int64_t clamped = 0;
+  for (float& value : values) {
+    if (!std::isfinite(value)) fail(where, "holds a value that is not finite ({})", value);
+    if (std::abs(value) > kLargest) {
+      value = std::copysign(kLargest, value);
+      ++clamped;
+    }
+  }
+  return clamped;
+}
+
+void check_size(const std::vector<float>& values, const SceneImages& images, int channels,
+                std::string_view name, const std::string& where) {
+  const int64_t needed = int64_t{images.width} * images.height * channels;
+  if (static_cast<int64_t>(values.size()) != needed) {
+    fail(where, "{} has {} values; {} x {} x {} needs {}", name, values.size(), images.height, images.width,
+         channels, needed);
+  }
+}
+
+/// Applies the sign conventions and refuses light that cannot be.
+void convert_light(std::vector<float>& stokes, const Conventions& conventions, const Scene& scene,
+                   std::string_view part) {
+  const int64_t pixels = scene.pixels();
+  for (int64_t i = 0; i < pixels; ++i) {
+    float* s = stokes.data() + i * kStokesChannels;
+    for (int c = 0; c < 3; ++c) {
+      s[3 + c] *= conventions.s1;
+      s[6 + c] *= conventions.s2;
+      if (!(std::isfinite(s[c]) && std::isfinite(s[3 + c]) && std::isfinite(s[6 + c]) && s[c] >= 0.0F)) {
+        fail(scene.source, "scene {}, part '{}', pixel ({}, {}): S = ({}, {}, {}) is not light", scene.id,
+             part, i % scene.width, i / scene.width, s[c], s[3 + c], s[6 + c]);
+      }
+    }
+  }
+}
+
+class SceneSet final : public Dataset {
+ public:
+  explicit SceneSet(const fs::path& root) : set_(read_set_file(root)) {
+    facts_.layout = "opaline";
+    facts_.root = root;
+    facts_.width = set_.info.width;
+    facts_.height = set_.info.height;
+    uint64_t hash = xxh64(read_file(root / "dataset.toml"));
+    for (const Split split : {Split::kTrain, Split::kTest}) {
+      const fs::path path = root / fmt::format("{}.jsonl", to_string(split));
+      if (!fs::exists(path)) continue;
+      records(split) = read_scene_index(path);
+      check_unique(records(split), path);
+      const std::string joined = to_hex(hash) + to_hex(xxh64(read_file(path)));
+      hash = xxh64(std::as_bytes(std::span(joined)));
+    }
+    facts_.fingerprint = to_hex(hash);
+  }
+
+  const DatasetFacts& facts() const override { return facts_; }
+  int64_t size(Split split) const override { return static_cast<int64_t>(records(split).size()); }
+  std::string id(Split split, int64_t index) const override { return record(split, index).id; }
+
+  Scene load(Split split, int64_t index, const LoadOptions& options) const override {
+    const SceneRecord& record = this->record(split, index);
+    const fs::path path = facts_.root / record.file;
+    const std::vector<std::byte> bytes = read_file(path);
+    const std::string hash = to_hex(xxh64(bytes));
+    if (hash != record.xxh64) {
+      fail(path.string(), "scene {} is damaged: its checksum is {}, the index says {}", record.id, hash,
+           record.xxh64);
+    }
+    const ExrReader reader(bytes, path.string());
+    Scene scene;
+    scene.id = record.id;
+    scene.source = path.string();
+    scene.width = reader.width();
+    scene.height = reader.height();
+    if (scene.width != facts_.width || scene.height != facts_.height) {
+      fail(path.string(), "scene {} has {} x {} pixels, the data set {} x {}", scene.id, scene.width,
+           scene.height, facts_.width, facts_.height);
+    }
+    read_images(reader, options, scene);
+    read_truth(reader, options, scene);
+    take_parameters(record, scene);
+    return scene;
+  }
+
+ private:
+  std::vector<SceneRecord>& records(Split split) { return split == Split::kTrain ? train_ : test_; }
+  const std::vector<SceneRecord>& records(Split split) const {
+    return split == Split::kTrain ? train_ : test_;
+  }
+
+  const SceneRecord& record(Split split, int64_t index) const {
+    if (index < 0 || index >= size(split)) {
+      fail(facts_.root.string(), "has no scene {} in {} ({} scenes)", index, to_string(split), size(split));
+    }
+    return records(split)[static_cast<size_t>(index)];
+  }
+
+  static void check_unique(const std::vector<SceneRecord>& records, const fs::path& path) {
+    std::set<std::string_view> ids;
+    for (const SceneRecord& record : records) {
+      if (!ids.insert(record.id).second) fail(path.string(), "lists scene {} twice", record.id);
+    }
+  }
+
+  void read_images(const ExrReader& reader, const LoadOptions& options, Scene& scene) const {
+    ExrPart image = reader.read("image", kStokesNames);
+    const Window whole{0, 0, scene.width, scene.height};
+    if (image.window == whole) {
+      scene.image = std::move(image.pixels);
+    } else {
+      fail(scene.source, "part 'image' has window {}; the whole image {} is expected",
+           to_string(image.window), to_string(whole));
+    }
+    convert_light(scene.image, set_.conventions, scene, "image");
+    if (!options.bsdf) return;
+    const ExrPart bsdf = reader.read("bsdf", kStokesNames);
+    // Outside the window there is no object, so both renderings see the same.
+    std::vector<float> full = scene.image;
+    for_each_pixel(bsdf, scene.width, scene.height, [&](size_t pixel, const float* values) {
+      float* to = full.data() + pixel * kStokesChannels;
+      for (size_t c = 0; c < kStokesChannels; ++c) {
+        const float sign = c < 3 ? 1.0F : c < 6 ? set_.conventions.s1 : set_.conventions.s2;
+        to[c] = sign * values[c];
+      }
+    });
+    convert_light(full, {}, scene, "bsdf");
+    scene.bsdf = std::move(full);
+  }
+
+  static void read_truth(const ExrReader& reader, const LoadOptions& options, Scene& scene) {
+    const auto pixels = static_cast<size_t>(scene.pixels());
+    scene.mask.assign(pixels, 0);
+    const ExrPart truth = reader.read("truth", options.truth ? kTruthNames : kMaskName);
+    if (!options.truth) {
+      for_each_pixel(truth, scene.width, scene.height, [&](size_t pixel, const float* values) {
+        scene.mask[pixel] = values[0] == 1.0F ? 1 : 0;
+      });
+      return;
+    }
+    scene.normal.assign(3 * pixels, 0.0F);
+    scene.depth.assign(pixels, 0.0F);
+    for_each_pixel(truth, scene.width, scene.height, [&](size_t pixel, const float* values) {
+      if (values[4] != 1.0F) return;
+      scene.mask[pixel] = 1;
+      scene.depth[pixel] = values[3];
+      const float length = std::hypot(values[0], values[1], values[2]);
+      if (!(length > 0.5F && length < 2.0F && std::isfinite(values[3]))) {
+        fail(scene.source, "scene {}, pixel {}: normal ({}, {}, {}) and depth {} are no surface", scene.id,
+             pixel, values[0], values[1], values[2], values[3]);
+      }
+      for (size_t c = 0; c < 3; ++c) scene.normal[3 * pixel + c] = values[c] / length;  // half floats round
+    });
+  }
+
+  void take_parameters(const SceneRecord& record, Scene& scene) const {
+    const auto to_float = [](double x) { return static_cast<float>(x); };
+    scene.sh.emplace();
+    std::transform(record.sh.begin(), record.sh.end(), scene.sh->begin(), to_float);
+    scene.flash = to_float(record.flash);
+    scene.sigma_t.emplace();
+    scene.albedo.emplace();
+    for (size_t c = 0; c < 3; ++c) {
+      (*scene.sigma_t)[c] = to_float(record.sigma_t[c]) * set_.conventions.sigma_t;
+      (*scene.albedo)[c] = to_float(record.albedo[c]);
+    }
+    scene.g = to_float(record.g);
+  }
+
+  SetFile set_;
+  DatasetFacts facts_;
+  std::vector<SceneRecord> train_;
+  std::vector<SceneRecord> test_;
+};
+
+}  // namespace
+
+void write_scene_set_info(const fs::path& root, const SceneSetInfo& info) {
+  std::string text = "# A set of polarised scenes; see docs/formats.md.\n";
+  const auto line = [&](std::string_view key, const std::string& value) {
+    text += fmt::format("{} = {}\n", key, value);
+  };
+  line("version", fmt::format("{}", kFormatVersion));
+  line("generator", quote(info.generator));
+  line("generator_version", quote(info.generator_version));
+  line("seed", quote(fmt::format("{}", info.seed)));  // TOML's integers are signed
+  line("train", fmt::format("{}", info.train));
+  line("test", fmt::format("{}", info.test));
+  line("width", fmt::format("{}", info.width));
+  line("height", fmt::format("{}", info.height));
+  line("bsdf", quote(info.bsdf));
+  line("config", quote(info.config_text));
+  text += "\n[conventions]\n";
+  line("light", quote(kLight));
+  line("s1", quote(kS1));
+  line("s2", quote(kS2));
+  line("angles", quote(kAngles));
+  line("axes", quote(kAxes));
+  line("depth", quote(kDepth));
+  line("sigma_t", quote(kSigmaT));
+  line("sh", quote(kSh));
+  write_file_atomically(root / "dataset.toml", text);
+}
+
+SceneSetInfo read_scene_set_info(const fs::path& root) {
+  return read_set_file(root).info;
+}
+
+Window coverage_box(const std::vector<float>& coverage, int width, int height) {
+  Window box{width, height, 0, 0};
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      const auto pixel = static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x);
+      if (!(coverage[pixel] > 0.0F)) continue;
+      box = {std::min(box.x0, x), std::min(box.y0, y), std::max(box.x1, x + 1), std::max(box.y1, y + 1)};
+    }
+  }
+  return box.width() > 0 ? box : Window{0, 0, 1, 1};
+}
+
+WrittenScene write_scene(const fs::path& root, int64_t number, const SceneImages& images,
+                         SceneRecord& record) {
+  const std::string where = fmt::format("write scene {}", record.id);
+  check_size(images.image, images, kStokesChannels, "image", where);
+  check_size(images.bsdf, images, kStokesChannels, "bsdf", where);
+  check_size(images.normal, images, 3, "normal", where);
+  check_size(images.depth, images, 1, "depth", where);
+  check_size(images.coverage, images, 1, "coverage", where);
+
+  record.box = coverage_box(images.coverage, images.width, images.height);
+  double covered = 0;
+  for (const float a : images.coverage) covered += static_cast<double>(a);
+  record.coverage = covered / static_cast<double>(images.coverage.size());
+
+  std::vector<float> truth;
+  truth.reserve(images.coverage.size() * kTruthChannels);
+  for (size_t i = 0; i < images.coverage.size(); ++i) {
+    truth.insert(truth.end(), {images.normal[3 * i], images.normal[3 * i + 1], images.normal[3 * i + 2],
+                               images.depth[i], images.coverage[i]});
+  }
+  const Window whole{0, 0, images.width, images.height};
+  ExrImage exr{.width = images.width, .height = images.height, .parts = {}};
+  exr.parts.push_back({.name = "image", .window = whole, .channels = kStokesNames, .pixels = images.image});
+  exr.parts.push_back({.name = "bsdf",
+                       .window = record.box,
+                       .channels = kStokesNames,
+                       .pixels = cut(images.bsdf, images.width, kStokesChannels, record.box)});
+  exr.parts.push_back({.name = "truth",
+                       .window = record.box,
+                       .channels = kTruthNames,
+                       .pixels = cut(truth, images.width, static_cast<int>(kTruthChannels), record.box)});
+  WrittenScene written;
+  for (ExrPart& part : exr.parts) written.clamped += clamp_to_half(part.pixels, where + ", " + part.name);
+
+  const std::vector<std::byte> bytes = encode_exr(exr);
+  record.file = fmt::format("scenes/{:06}.exr", number);
+  record.xxh64 = to_hex(xxh64(bytes));
+  fs::create_directories(root / "scenes");
+  write_file_atomically(root / record.file, bytes);
+  written.bytes = static_cast<int64_t>(bytes.size());
+  return written;
+}
+
+bool scene_is_intact(const fs::path& root, const SceneRecord& record) {
+  const fs::path path = root / record.file;
+  return fs::is_regular_file(path) && to_hex(xxh64(read_file(path))) == record.xxh64;
+}
+
+std::unique_ptr<Dataset> open_scene_set(const fs::path& root) {
+  return std::make_unique<SceneSet>(root);
+}
+
+}  // namespace opaline
