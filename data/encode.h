@@ -3,7 +3,7 @@
 // A scene's Stokes images become four polariser images I0, I90 = (S0 +- S1) / 2, I45, I135 = (S0 +- S2) / 2,
 // each clipped to [0, 1] after the exposure; S0, S1, S2, max and min = (S0 +- sqrt(S1^2 + S2^2)) / 2 (the
 // paper's equations) are computed from the clipped images; intensities are encoded as v = I^(1/2.2), with an
-// optional rounding to 8 bits, and enter as 2 v - 1.
+// optional truncation to 8 bits (as the release's files were written), and enter as 2 v - 1.
 #pragma once
 
 #include <array>
@@ -23,8 +23,8 @@ enum class InputKind {
   kIntensity,   ///< 3: encoded S0 / 2, not masked
   kPol4,        ///< 12: encoded p0, p45, p90, p135, masked
   kMaxMin,      ///< 6: encoded max, min (min, max where EncodeOptions::min_first), masked
-  kDopAop,      ///< 6: DoP in [0, 1], AoP in [0, pi), raw
-  kEncodedAop,  ///< 6: cos 2 AoP, sin 2 AoP, raw
+  kDopAop,      ///< 6: DoP, AoP in [0, pi), raw
+  kEncodedAop,  ///< 6: cos 2 AoP (3), sin 2 AoP (3), raw
   kStokes,      ///< 9: linear S0, S1, S2, raw
   kMask,        ///< 1: -1 outside, +1 on the object
   kBackground,  ///< 3: encoded p0 outside the mask, -1 on the object
@@ -39,7 +39,7 @@ int64_t channels_of(InputKind kind);
 struct EncodeOptions {
   std::vector<InputKind> inputs;
   bool min_first = false;             ///< order of kMaxMin
-  bool quantise = false;              ///< round encoded images to 8 bits
+  bool quantise = false;              ///< truncate encoded images to 8 bits
   bool flash_in_illumination = true;  ///< illumination has 28 values, flash last; else 27
   bool flash_in_sss = false;          ///< SSS vector has 8 values, flash last; else 7
 
@@ -89,6 +89,7 @@ struct Batch {
   int64_t size() const { return static_cast<int64_t>(ids.size()); }
 };
 
+/// `exposure` is the k of step one; the illumination's labels and the flash grow with it.
 /// Throws Error naming the scene where its size is not divisible by 16 or is under 32 (the message says what
 /// to crop or resize to), or where a wanted image is missing.
 Sample encode_scene(const Scene& scene, const EncodeOptions& options, const EncodeWanted& wanted = {},
