@@ -172,7 +172,7 @@ void check_scene(const Scene& scene) {
   constexpr int kSmallest = 32;
   const auto fits = [](int n) { return n >= kSmallest && n % kMultiple == 0; };
   if (!fits(scene.width) || !fits(scene.height)) {
-    const auto near = [](int n) { return std::max(kSmallest, n / kMultiple * kMultiple); };
+    const auto near = [&](int n) { return std::max(kSmallest, n / kMultiple * kMultiple); };
     fail(scene.source,
          "scene {} has {} x {} pixels; the networks take multiples of {} from {} on: crop or "
          "resize it to {} x {}",
