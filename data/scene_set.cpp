@@ -1,11 +1,13 @@
 #include "data/scene_set.h"
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <set>
 
 #include "core/error.h"
 #include "core/file.h"
+#include "data/scene_channels.h"
 #include "data/toml_config.h"
 
 namespace opaline {
@@ -13,13 +15,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::vector<std::string> kStokesNames = {"S0.R", "S0.G", "S0.B", "S1.R", "S1.G",
-                                               "S1.B", "S2.R", "S2.G", "S2.B"};
-const std::vector<std::string> kTruthNames = {"normal.X", "normal.Y", "normal.Z", "depth.Z", "mask.A"};
-const std::vector<std::string> kMaskName = {"mask.A"};
-constexpr size_t kTruthChannels = 5;
-
-constexpr float kLargest = 6e4F;  // half floats end at 65504
 constexpr float kSigmaTScale = 32.0F;
 constexpr int kFormatVersion = 1;
 
@@ -75,6 +70,15 @@ void expect(const TomlTable& table, std::string_view key, std::string_view ours)
   table.choice(key, ours, {&ours, 1});
 }
 
+/// A text, as TOML's integers are signed.
+uint64_t parse_seed(const TomlTable& table) {
+  const std::string text = table.text("seed", "0");
+  uint64_t seed = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), seed);
+  if (error != std::errc() || end != text.data() + text.size()) table.error("seed", "is not a whole number");
+  return seed;
+}
+
 SetFile read_set_file(const fs::path& root) {
   // A bad dataset.toml is damaged data (exit code 1), not a config the user wrote (2).
   try {
@@ -85,7 +89,7 @@ SetFile read_set_file(const fs::path& root) {
     top.integer("version", kFormatVersion, {.min = kFormatVersion, .max = kFormatVersion});
     info.generator = top.text("generator", info.generator);
     info.generator_version = top.text("generator_version", "");
-    info.seed = std::stoull("0" + top.text("seed", "0"));
+    info.seed = parse_seed(top);
     info.train = top.integer("train", 0, {.min = 0});
     info.test = top.integer("test", 0, {.min = 0});
     info.width = static_cast<int>(top.integer("width", 0, {.min = 1, .max = ExrLimits().max_side}));
@@ -108,21 +112,7 @@ SetFile read_set_file(const fs::path& root) {
     return file;
   } catch (const UsageError& e) {
     throw Error(e.what());
-  } catch (const std::logic_error& e) {
-    fail((root / "dataset.toml").string(), "'seed' is not a whole number");
   }
-}
-
-/// Copies a window of `values` (interleaved, `channels` wide) out of a full image.
-std::vector<float> cut(const std::vector<float>& values, int width, int channels, const Window& window) {
-  std::vector<float> result;
-  result.reserve(static_cast<size_t>(window.pixels() * channels));
-  for (int y = window.y0; y < window.y1; ++y) {
-    const auto row =
-        values.begin() + (static_cast<std::ptrdiff_t>(y) * width + window.x0) * std::ptrdiff_t{channels};
-    result.insert(result.end(), row, row + std::ptrdiff_t{window.width()} * channels);
-  }
-  return result;
 }
 
 /// Calls put(pixel of the image, values of the part there) where the part's window lies on the image.
@@ -137,27 +127,6 @@ void for_each_pixel(const ExrPart& part, int width, int height, const Put& put) 
       put(static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x),
           part.pixels.data() + from * channels);
     }
-  }
-}
-
-int64_t clamp_to_half(std::vector<float>& values, const std::string& where) {
-  int64_t clamped = 0;
-  for (float& value : values) {
-    if (!std::isfinite(value)) fail(where, "holds a value that is not finite ({})", value);
-    if (std::abs(value) > kLargest) {
-      value = std::copysign(kLargest, value);
-      ++clamped;
-    }
-  }
-  return clamped;
-}
-
-void check_size(const std::vector<float>& values, const SceneImages& images, int channels,
-                std::string_view name, const std::string& where) {
-  const int64_t needed = int64_t{images.width} * images.height * channels;
-  if (static_cast<int64_t>(values.size()) != needed) {
-    fail(where, "{} has {} values; {} x {} x {} needs {}", name, values.size(), images.height, images.width,
-         channels, needed);
   }
 }
 
@@ -326,7 +295,7 @@ void write_scene_set_info(const fs::path& root, const SceneSetInfo& info) {
   line("version", fmt::format("{}", kFormatVersion));
   line("generator", quote(info.generator));
   line("generator_version", quote(info.generator_version));
-  line("seed", quote(fmt::format("{}", info.seed)));  // TOML's integers are signed
+  line("seed", quote(fmt::format("{}", info.seed)));
   line("train", fmt::format("{}", info.train));
   line("test", fmt::format("{}", info.test));
   line("width", fmt::format("{}", info.width));
@@ -347,66 +316,6 @@ void write_scene_set_info(const fs::path& root, const SceneSetInfo& info) {
 
 SceneSetInfo read_scene_set_info(const fs::path& root) {
   return read_set_file(root).info;
-}
-
-Window coverage_box(const std::vector<float>& coverage, int width, int height) {
-  Window box{width, height, 0, 0};
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      const auto pixel = static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x);
-      if (!(coverage[pixel] > 0.0F)) continue;
-      box = {std::min(box.x0, x), std::min(box.y0, y), std::max(box.x1, x + 1), std::max(box.y1, y + 1)};
-    }
-  }
-  return box.width() > 0 ? box : Window{0, 0, 1, 1};
-}
-
-WrittenScene write_scene(const fs::path& root, int64_t number, const SceneImages& images,
-                         SceneRecord& record) {
-  const std::string where = fmt::format("write scene {}", record.id);
-  check_size(images.image, images, kStokesChannels, "image", where);
-  check_size(images.bsdf, images, kStokesChannels, "bsdf", where);
-  check_size(images.normal, images, 3, "normal", where);
-  check_size(images.depth, images, 1, "depth", where);
-  check_size(images.coverage, images, 1, "coverage", where);
-
-  record.box = coverage_box(images.coverage, images.width, images.height);
-  double covered = 0;
-  for (const float a : images.coverage) covered += static_cast<double>(a);
-  record.coverage = covered / static_cast<double>(images.coverage.size());
-
-  std::vector<float> truth;
-  truth.reserve(images.coverage.size() * kTruthChannels);
-  for (size_t i = 0; i < images.coverage.size(); ++i) {
-    truth.insert(truth.end(), {images.normal[3 * i], images.normal[3 * i + 1], images.normal[3 * i + 2],
-                               images.depth[i], images.coverage[i]});
-  }
-  const Window whole{0, 0, images.width, images.height};
-  ExrImage exr{.width = images.width, .height = images.height, .parts = {}};
-  exr.parts.push_back({.name = "image", .window = whole, .channels = kStokesNames, .pixels = images.image});
-  exr.parts.push_back({.name = "bsdf",
-                       .window = record.box,
-                       .channels = kStokesNames,
-                       .pixels = cut(images.bsdf, images.width, kStokesChannels, record.box)});
-  exr.parts.push_back({.name = "truth",
-                       .window = record.box,
-                       .channels = kTruthNames,
-                       .pixels = cut(truth, images.width, static_cast<int>(kTruthChannels), record.box)});
-  WrittenScene written;
-  for (ExrPart& part : exr.parts) written.clamped += clamp_to_half(part.pixels, where + ", " + part.name);
-
-  const std::vector<std::byte> bytes = encode_exr(exr);
-  record.file = fmt::format("scenes/{:06}.exr", number);
-  record.xxh64 = to_hex(xxh64(bytes));
-  fs::create_directories(root / "scenes");
-  write_file_atomically(root / record.file, bytes);
-  written.bytes = static_cast<int64_t>(bytes.size());
-  return written;
-}
-
-bool scene_is_intact(const fs::path& root, const SceneRecord& record) {
-  const fs::path path = root / record.file;
-  return fs::is_regular_file(path) && to_hex(xxh64(read_file(path))) == record.xxh64;
 }
 
 std::unique_ptr<Dataset> open_scene_set(const fs::path& root) {

@@ -22,10 +22,10 @@ struct Problem {
 };
 
 std::string dotted(const Path& path, std::string_view key = {}) {
-  std::string text;
-  for (const std::string& part : path) text += text.empty() ? part : "." + part;
-  if (!key.empty()) text += (text.empty() ? "" : ".") + std::string(key);
-  return text;
+  std::string text = fmt::format("{}", fmt::join(path, "."));
+  if (key.empty()) return text;
+  if (!text.empty()) text += '.';
+  return text.append(key);
 }
 
 /// Levenshtein distance, a swap of neighbours counting as one.
@@ -231,7 +231,10 @@ void TomlConfig::finish() const {
   std::stable_sort(problems.begin(), problems.end(),
                    [](const Problem& a, const Problem& b) { return a.line < b.line; });
   std::string message;
-  for (const Problem& problem : problems) message += (message.empty() ? "" : "\n") + problem.message;
+  for (const Problem& problem : problems) {
+    if (!message.empty()) message += '\n';
+    message += problem.message;
+  }
   throw UsageError(message);
 }
 
