@@ -80,7 +80,8 @@ Tensor Module::add_buffer(std::string name, Tensor value) {
 void initialize(Module& module, uint64_t seed, uint32_t first_index) {
   std::vector<NamedTensor> parameters = module.named_parameters();
   parallel_for(static_cast<int64_t>(parameters.size()), [&](int64_t i) {
-    auto& [name, tensor, initial] = parameters[static_cast<size_t>(i)];
+    const InitialValue initial = parameters[static_cast<size_t>(i)].initial;
+    Tensor& tensor = parameters[static_cast<size_t>(i)].tensor;
     if (initial.deviation == 0.0) {
       tensor.fill(initial.mean);
       return;
