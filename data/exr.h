@@ -31,17 +31,17 @@ std::string to_string(const Window& window);
 
 /// One part: a window of the image, its channels interleaved.
 struct ExrPart {
-  std::string name;                   ///< "" in a file of one unnamed part
-  Window window;                      ///< data window
-  std::vector<std::string> channels;  ///< in the order in which `pixels` has them
-  bool half = true;                   ///< stored as half floats (else as floats)
-  std::vector<float> pixels;          ///< window height x window width x channels
+  std::string name = {};                   ///< "" in a file of one unnamed part
+  Window window = {};                      ///< data window
+  std::vector<std::string> channels = {};  ///< in the order in which `pixels` has them
+  bool half = true;                        ///< stored as half floats (else as floats)
+  std::vector<float> pixels = {};          ///< window height x window width x channels
 };
 
 struct ExrImage {
   int width = 0;  ///< display window, from (0, 0)
   int height = 0;
-  std::vector<ExrPart> parts;
+  std::vector<ExrPart> parts = {};
 };
 
 /// Declared sizes over these are refused before anything of that size is allocated.
@@ -52,9 +52,9 @@ struct ExrLimits {
 
 /// What a part declares.
 struct ExrPartInfo {
-  std::string name;
-  Window window;
-  std::vector<std::string> channels;  ///< sorted by name, as files have them
+  std::string name = {};
+  Window window = {};
+  std::vector<std::string> channels = {};  ///< sorted by name, as files have them
 };
 
 /// The bytes of a file: ZIP-compressed scan lines, parts in the given order.

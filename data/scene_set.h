@@ -54,14 +54,14 @@ void append_scene_record(const std::filesystem::path& path, const SceneRecord& r
 /// What `dataset.toml` holds besides the conventions, which are fixed for what we write.
 struct SceneSetInfo {
   std::string generator = "opaline";
-  std::string generator_version;
+  std::string generator_version = {};
   uint64_t seed = 0;
   int64_t train = 0;  ///< scenes
   int64_t test = 0;
   int width = 0;
   int height = 0;
-  std::string bsdf = "clear";  ///< reading of "pure BSDF": clear or reflection
-  std::string config_text;     ///< the resolved render config, kept word for word; may be empty
+  std::string bsdf = "clear";    ///< reading of "pure BSDF": clear or reflection
+  std::string config_text = {};  ///< the resolved render config, kept word for word; may be empty
 };
 
 void write_scene_set_info(const std::filesystem::path& root, const SceneSetInfo& info);
@@ -72,11 +72,11 @@ SceneSetInfo read_scene_set_info(const std::filesystem::path& root);
 struct SceneImages {
   int width = 0;
   int height = 0;
-  std::vector<float> image;     ///< H x W x 9 linear Stokes
-  std::vector<float> bsdf;      ///< H x W x 9
-  std::vector<float> normal;    ///< H x W x 3
-  std::vector<float> depth;     ///< H x W
-  std::vector<float> coverage;  ///< H x W, in [0, 1]: mask.A
+  std::vector<float> image = {};     ///< H x W x 9 linear Stokes
+  std::vector<float> bsdf = {};      ///< H x W x 9
+  std::vector<float> normal = {};    ///< H x W x 3
+  std::vector<float> depth = {};     ///< H x W
+  std::vector<float> coverage = {};  ///< H x W, in [0, 1]: mask.A
 };
 
 struct WrittenScene {

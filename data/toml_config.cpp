@@ -103,8 +103,14 @@ toml::table parse_override(const std::string& text) {
   }
 }
 
+std::string without_space(std::string text) {
+  std::erase_if(text, [](char c) { return c == ' ' || c == '\t'; });
+  return text;
+}
+
 template <class T>
 std::string range_text(T low, T high, T none_low, T none_high) {
+  if (low == none_low && high == none_high) return "finite";
   if (low == none_low) return fmt::format("at most {}", high);
   if (high == none_high) return fmt::format("at least {}", low);
   return fmt::format("between {} and {}", low, high);
@@ -116,7 +122,8 @@ struct TomlConfig::State {
   std::string name;
   toml::table values;
   toml::table resolved;
-  std::map<Path, std::set<std::string, std::less<>>> asked;  // keys by table
+  std::map<Path, std::set<std::string, std::less<>>> asked;    // keys by table
+  std::vector<std::pair<std::string, std::string>> overrides;  // key and whole text of each --set, last first
   std::vector<Problem> problems;
 
   const toml::table* find(const Path& path) const {
@@ -142,19 +149,22 @@ struct TomlConfig::State {
     return table == nullptr ? nullptr : table->get(key);
   }
 
-  void problem(const toml::node* node, std::string_view message) {
-    if (node == nullptr) {
-      problems.push_back({0, fmt::format("{}: {}", name, message)});
-      return;
+  /// Where a key stands: its line, or the override that set it.
+  Problem place(const Path& path, std::string_view key, const toml::node* node,
+                std::string_view message) const {
+    const std::string full = dotted(path, key);
+    for (const auto& [set_key, text] : overrides) {
+      const bool inside =
+          full.starts_with(set_key) && (full.size() == set_key.size() || full[set_key.size()] == '.');
+      if (inside) return {UINT32_MAX, fmt::format("--set {}: {}", text, message)};
     }
-    const toml::source_region& source = node->source();
-    const std::string file = source.path ? *source.path : name;
-    if (file != name) {
-      problems.push_back({UINT32_MAX, fmt::format("{}: {}", file, message)});
-    } else {
-      const auto line = static_cast<uint32_t>(source.begin.line);
-      problems.push_back({line, fmt::format("{}:{}: {}", name, line, message)});
-    }
+    if (node == nullptr) return {0, fmt::format("{}: {}", name, message)};
+    const auto line = static_cast<uint32_t>(node->source().begin.line);
+    return {line, fmt::format("{}:{}: {}", name, line, message)};
+  }
+
+  void problem(const Path& path, std::string_view key, const toml::node* node, std::string_view message) {
+    problems.push_back(place(path, key, node, message));
   }
 
   template <class T>
@@ -185,11 +195,7 @@ struct TomlConfig::State {
       } else if (!candidates.empty()) {
         message += fmt::format("; known here: {}", fmt::join(candidates, ", "));
       }
-      State scratch;
-      scratch.name = name;
-      // A key inside an inline or implicit table has no better place than its own node.
-      scratch.problem(&node, message);
-      found.push_back(scratch.problems.front());
+      found.push_back(place(path, word, &node, message));
     }
   }
 };
@@ -219,7 +225,10 @@ TomlConfig TomlConfig::from_text(std::string_view text, std::string_view name,
   } catch (const toml::parse_error& e) {
     throw UsageError(fmt::format("{}:{}: {}", name, e.source().begin.line, e.description()));
   }
-  for (const std::string& one : overrides) merge(state->values, parse_override(one));
+  for (const std::string& one : overrides) {
+    merge(state->values, parse_override(one));  // merging copies nodes, which forget where they came from
+    state->overrides.insert(state->overrides.begin(), {without_space(one.substr(0, one.find('='))), one});
+  }
   return TomlConfig(std::move(state));
 }
 
@@ -250,11 +259,13 @@ int64_t TomlTable::integer(std::string_view key, int64_t otherwise, const Intege
   if (const toml::node* node = state.ask(path_, key)) {
     const auto* value = node->as_integer();
     if (value == nullptr) {
-      state.problem(node, fmt::format("'{}' must be an integer, not {}", dotted(path_, key), kind_of(*node)));
+      state.problem(path_, key, node,
+                    fmt::format("'{}' must be an integer, not {}", dotted(path_, key), kind_of(*node)));
     } else if (value->get() < range.min || value->get() > range.max) {
       const IntegerRange open;
-      state.problem(node, fmt::format("'{}' is {}; it must be {}", dotted(path_, key), value->get(),
-                                      range_text(range.min, range.max, open.min, open.max)));
+      state.problem(path_, key, node,
+                    fmt::format("'{}' is {}; it must be {}", dotted(path_, key), value->get(),
+                                range_text(range.min, range.max, open.min, open.max)));
     } else {
       result = value->get();
     }
@@ -269,11 +280,13 @@ double TomlTable::real(std::string_view key, double otherwise, const RealRange& 
   if (const toml::node* node = state.ask(path_, key)) {
     const auto value = node->value<double>();
     if (!node->is_number() || !value) {
-      state.problem(node, fmt::format("'{}' must be a number, not {}", dotted(path_, key), kind_of(*node)));
+      state.problem(path_, key, node,
+                    fmt::format("'{}' must be a number, not {}", dotted(path_, key), kind_of(*node)));
     } else if (!(*value >= range.min && *value <= range.max)) {
       const RealRange open;
-      state.problem(node, fmt::format("'{}' is {}; it must be {}", dotted(path_, key), *value,
-                                      range_text(range.min, range.max, open.min, open.max)));
+      state.problem(path_, key, node,
+                    fmt::format("'{}' is {}; it must be {}", dotted(path_, key), *value,
+                                range_text(range.min, range.max, open.min, open.max)));
     } else {
       result = *value;
     }
@@ -289,7 +302,7 @@ bool TomlTable::boolean(std::string_view key, bool otherwise) const {
     if (const auto* value = node->as_boolean()) {
       result = value->get();
     } else {
-      state.problem(node,
+      state.problem(path_, key, node,
                     fmt::format("'{}' must be true or false, not {}", dotted(path_, key), kind_of(*node)));
     }
   }
@@ -304,7 +317,8 @@ std::string TomlTable::text(std::string_view key, std::string_view otherwise) co
     if (const auto* value = node->as_string()) {
       result = value->get();
     } else {
-      state.problem(node, fmt::format("'{}' must be a string, not {}", dotted(path_, key), kind_of(*node)));
+      state.problem(path_, key, node,
+                    fmt::format("'{}' must be a string, not {}", dotted(path_, key), kind_of(*node)));
     }
   }
   state.resolve(path_, key, result);
@@ -337,7 +351,7 @@ std::vector<std::string> TomlTable::texts(std::string_view key, std::vector<std:
         if (const auto* value = item.as_string()) {
           read.push_back(value->get());
         } else {
-          state.problem(&item,
+          state.problem(path_, key, &item,
                         fmt::format("'{}' must hold strings, not {}", dotted(path_, key), kind_of(item)));
         }
       }
@@ -358,9 +372,10 @@ std::vector<double> TomlTable::reals(std::string_view key, std::vector<double> o
     const auto* array = node->as_array();
     if (array == nullptr || (count != 0 && array->size() != count)) {
       const std::string wanted = count == 0 ? "an array of numbers" : fmt::format("{} numbers", count);
-      state.problem(node, fmt::format("'{}' must be {}, not {}", dotted(path_, key), wanted,
-                                      array == nullptr ? std::string(kind_of(*node))
-                                                       : fmt::format("{}", array->size())));
+      state.problem(
+          path_, key, node,
+          fmt::format("'{}' must be {}, not {}", dotted(path_, key), wanted,
+                      array == nullptr ? std::string(kind_of(*node)) : fmt::format("{}", array->size())));
     } else {
       std::vector<double> read;
       for (const toml::node& item : *array) {
@@ -370,8 +385,9 @@ std::vector<double> TomlTable::reals(std::string_view key, std::vector<double> o
           continue;
         }
         const RealRange open;
-        state.problem(&item, fmt::format("'{}' must hold numbers {}", dotted(path_, key),
-                                         range_text(range.min, range.max, open.min, open.max)));
+        state.problem(path_, key, &item,
+                      fmt::format("'{}' must hold numbers {}", dotted(path_, key),
+                                  range_text(range.min, range.max, open.min, open.max)));
       }
       if (read.size() == array->size()) result = std::move(read);
     }
@@ -386,7 +402,8 @@ TomlTable TomlTable::table(std::string_view key) const {
   TomlConfig::State& state = *config_->state_;
   const toml::node* node = state.ask(path_, key);
   if (node != nullptr && !node->is_table()) {
-    state.problem(node, fmt::format("'{}' must be a table, not {}", dotted(path_, key), kind_of(*node)));
+    state.problem(path_, key, node,
+                  fmt::format("'{}' must be a table, not {}", dotted(path_, key), kind_of(*node)));
   }
   Path path = path_;
   path.emplace_back(key);
@@ -400,7 +417,7 @@ bool TomlTable::has(std::string_view key) const {
 
 void TomlTable::error(std::string_view key, std::string_view message) const {
   TomlConfig::State& state = *config_->state_;
-  state.problem(state.peek(path_, key), fmt::format("'{}': {}", dotted(path_, key), message));
+  state.problem(path_, key, state.peek(path_, key), fmt::format("'{}': {}", dotted(path_, key), message));
 }
 
 void TomlTable::require(std::string_view key) const {
