@@ -374,7 +374,7 @@ std::vector<double> TomlTable::reals(std::string_view key, std::vector<double> o
     if (array == nullptr || (count != 0 && array->size() != count)) {
       const std::string wanted = count == 0 ? "an array of numbers" : fmt::format("{} numbers", count);
       state.problem(
-          path_, key, path_, key, node,
+          path_, key, node,
           fmt::format("'{}' must be {}, not {}", dotted(path_, key), wanted,
                       array == nullptr ? std::string(kind_of(*node)) : fmt::format("{}", array->size())));
     } else {
