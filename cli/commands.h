@@ -14,11 +14,17 @@ struct Outcome {
 using AddCommand = void (*)(CLI::App& app, Outcome& outcome);
 
 // Declarations (one a command).
+void add_bench(CLI::App& app, Outcome& outcome);
+void add_check_data(CLI::App& app, Outcome& outcome);
 void add_forward(CLI::App& app, Outcome& outcome);
+void add_inspect(CLI::App& app, Outcome& outcome);
 
 // The table that main.cpp walks, in the order of --help.
 inline constexpr AddCommand kCommands[] = {
+    add_check_data,
+    add_inspect,
     add_forward,
+    add_bench,
     nullptr,
 };
 

@@ -233,6 +233,11 @@ std::string split_text(const SplitCheck& split) {
   line("share over white", [](const SceneCheck& s) { return s.clipped; });
   line("DoP on the object", [](const SceneCheck& s) { return s.mean_dop; });
   line("share of DoP over 1", [](const SceneCheck& s) { return s.over_polarised; });
+  const bool captures = std::all_of(usable.begin(), usable.end(),
+                                    [](const SceneCheck* s) { return s->pair_ratio.has_value(); });
+  if (captures) {
+    line("(I45+I135) / (I0+I90)", [](const SceneCheck& s) { return static_cast<double>(*s.pair_ratio); });
+  }
   const bool parameters =
       std::all_of(usable.begin(), usable.end(), [](const SceneCheck* s) { return !s->parameters.empty(); });
   for (size_t i = 0; parameters && i < kParameters.size(); ++i) {
@@ -271,6 +276,7 @@ SceneCheck check_scene(const Dataset& dataset, Split split, int64_t index) {
   check.id = dataset.id(split, index);
   try {
     const Scene scene = dataset.load(split, index);
+    check.pair_ratio = scene.pair_ratio;
     check_mask(scene, check);
     measure_light(scene, check);
     check_parameters(scene, check);

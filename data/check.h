@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -44,10 +45,11 @@ struct SceneCheck {
   std::string problem;  ///< why it cannot be used; empty where it can
   std::vector<std::string> warnings;
   double coverage = 0;
-  double mean_light = 0;      ///< of S0 / 2 on the object
-  double clipped = 0;         ///< share of the object's polariser values over white
-  double over_polarised = 0;  ///< share of the object's values whose DoP exceeds 1
-  double mean_dop = 0;        ///< on the object
+  double mean_light = 0;            ///< of S0 / 2 on the object
+  double clipped = 0;               ///< share of the object's polariser values over white
+  double over_polarised = 0;        ///< share of the object's values whose DoP exceeds 1
+  double mean_dop = 0;              ///< on the object
+  std::optional<float> pair_ratio;  ///< of a capture (data/scene.h)
   /// g, sigma_t (3), albedo (3), flash; empty where the layout has none.
   std::vector<double> parameters;
   FrameEvidence frame;
