@@ -12,6 +12,7 @@
 #include <ImfPartType.h>
 
 #include <algorithm>
+#include <array>
 #include <cstring>
 #include <exception>
 #include <limits>
@@ -67,9 +68,39 @@ class MemoryOutput final : public Imf::OStream {
   size_t position_ = 0;
 };
 
-/// Walks the headers before OpenEXR sees them: attribute sizes must lie inside the file (so that no size
-/// field can make a reader allocate more than the file has), and kinds of data that we do not read are
-/// refused by name.
+/// Bytes of the attribute types whose size the format fixes.
+struct FixedSize {
+  std::string_view type;
+  uint32_t bytes;
+};
+constexpr std::array<FixedSize, 24> kFixedSizes = {{{"box2f", 16},
+                                                    {"box2i", 16},
+                                                    {"chromaticities", 32},
+                                                    {"compression", 1},
+                                                    {"deepImageState", 1},
+                                                    {"double", 8},
+                                                    {"envmap", 1},
+                                                    {"float", 4},
+                                                    {"int", 4},
+                                                    {"keycode", 28},
+                                                    {"lineOrder", 1},
+                                                    {"m33d", 72},
+                                                    {"m33f", 36},
+                                                    {"m44d", 128},
+                                                    {"m44f", 64},
+                                                    {"rational", 8},
+                                                    {"tiledesc", 9},
+                                                    {"timecode", 8},
+                                                    {"v2d", 16},
+                                                    {"v2f", 8},
+                                                    {"v2i", 8},
+                                                    {"v3d", 24},
+                                                    {"v3f", 12},
+                                                    {"v3i", 12}}};
+
+/// Walks the headers before OpenEXR sees them. It trusts what it reads: a size field may make it allocate
+/// gigabytes, and a value longer than its size shifts all that follows. So every size must lie inside the
+/// file and be that of its type, and kinds of data that we do not read are refused by name.
 class HeaderWalk {
  public:
   HeaderWalk(std::span<const std::byte> bytes, const std::string& file) : bytes_(bytes), file_(file) {}
@@ -129,6 +160,7 @@ class HeaderWalk {
         fail(file_, "ends inside attribute '{}' ({} bytes declared, {} left)", attribute, size,
              bytes_.size() - position_);
       }
+      check_value(attribute, kind, size);
       const std::string value(reinterpret_cast<const char*>(bytes_.data()) + position_, size);
       if (attribute == "name") part_name = value;
       if (attribute == "type") type = value;
@@ -138,6 +170,31 @@ class HeaderWalk {
     if (!type.empty() && type != Imf::SCANLINEIMAGE) {
       fail(file_, "part '{}' is of type '{}'; '{}' is expected", part_name, type, Imf::SCANLINEIMAGE);
     }
+  }
+
+  /// The value at the current position has the size that its type asks for.
+  void check_value(const std::string& attribute, const std::string& kind, uint32_t size) {
+    bool right = kind != "idmanifest";  // sized by its contents, and of deep images only
+    for (const FixedSize& fixed : kFixedSizes) {
+      if (kind == fixed.type) right = size == fixed.bytes;
+    }
+    const size_t begin = position_;
+    if (kind == "chlist") {
+      constexpr size_t kChannelBytes = 16;  // pixel type, linearity, two samplings
+      while (!at_end_mark()) {
+        name();
+        position_ += kChannelBytes;
+      }
+      right = position_ + 1 - begin == size;
+    }
+    if (kind == "preview") {
+      constexpr uint32_t kHead = 8;  // width and height, then four bytes a pixel
+      const uint64_t pixels = size < kHead ? 0 : uint64_t{u32()} * u32();
+      right = size >= kHead && pixels == (size - kHead) / 4 && (size - kHead) % 4 == 0;
+    }
+    position_ = begin;
+    if (!right)
+      fail(file_, "has a damaged header: attribute '{}' of type '{}' has {} bytes", attribute, kind, size);
   }
 
   std::span<const std::byte> bytes_;
@@ -160,8 +217,25 @@ Imf::Slice slice(Imf::PixelType type, float* values, const Window& window, size_
           static_cast<size_t>(row_stride)};
 }
 
+/// Bytes that one byte of a file can stand for: deflate ends at 1032 to 1, run lengths at 64; the wavelet and
+/// cosine codecs are taken to stay under a generous bound of their own.
+int64_t max_ratio(Imf::Compression compression) {
+  switch (compression) {
+    case Imf::NO_COMPRESSION:
+      return 1;
+    case Imf::RLE_COMPRESSION:
+      return 64;
+    case Imf::ZIPS_COMPRESSION:
+    case Imf::ZIP_COMPRESSION:
+      return 1032;
+    default:
+      return 65536;
+  }
+}
+
 /// Size limits and what we do not read, checked on a parsed header. Fills what the part declares.
-ExrPartInfo check_header(const std::string& file, const Imf::Header& header, const ExrLimits& limits) {
+ExrPartInfo check_header(const std::string& file, size_t file_bytes, const Imf::Header& header,
+                         const ExrLimits& limits) {
   ExrPartInfo info;
   info.name = part_name(header);
   const Imath::Box2i box = header.dataWindow();
@@ -191,6 +265,11 @@ ExrPartInfo check_header(const std::string& file, const Imf::Header& header, con
   if (width * height > limits.max_values / count) {
     fail(file, "part '{}' declares {} x {} pixels of {} channels, over the limit of {} values", info.name,
          width, height, count, limits.max_values);
+  }
+  const auto held = static_cast<int64_t>(file_bytes) * max_ratio(header.compression());
+  if (width * height * count * static_cast<int64_t>(sizeof(Imath::half)) > held) {
+    fail(file, "part '{}' declares {} x {} pixels of {} channels, but the file has {} bytes only", info.name,
+         width, height, count, file_bytes);
   }
   return info;
 }
@@ -306,7 +385,7 @@ ExrReader::ExrReader(std::span<const std::byte> bytes, std::string file, const E
   }
   for (int i = 0; i < impl_->input->parts(); ++i) {
     const Imf::Header& header = impl_->input->header(i);
-    impl_->parts.push_back(check_header(impl_->file, header, limits));
+    impl_->parts.push_back(check_header(impl_->file, bytes.size(), header, limits));
     const Imath::Box2i display = header.displayWindow();
     const int64_t width = int64_t{display.max.x} - display.min.x + 1;
     const int64_t height = int64_t{display.max.y} - display.min.y + 1;

@@ -127,6 +127,30 @@ TEST_CASE("EXR sizes over the limits are refused before they are allocated", "[e
   CHECK(contains(values, "over the limit of 200 values"));
 }
 
+TEST_CASE("an EXR whose sizes lie is refused before OpenEXR trusts them", "[exr]") {
+  ExrImage image = two_parts(true);
+  image.parts.resize(1);
+  image.parts[0].name = "";
+  const std::vector<std::byte> bytes = encode_exr(image);
+  const std::string text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  const auto refusal_at = [&](const std::string& key, size_t offset, uint8_t value) {
+    std::vector<std::byte> changed = bytes;
+    const size_t at = text.find(key);
+    REQUIRE(at != std::string::npos);
+    changed[at + key.size() + offset] = static_cast<std::byte>(value);
+    return refusal(changed);
+  };
+  const std::string channels("channels\0chlist\0", 16);
+  CHECK(contains(refusal_at(channels, 0, 20), "attribute 'channels'"));
+  CHECK(contains(refusal_at(channels, 3, 0x7f), "ends inside attribute 'channels'"));
+  CHECK(contains(refusal_at(std::string("lineOrder\0lineOrder\0", 20), 0, 2), "attribute 'lineOrder'"));
+  // 16,384 x 16 pixels are within the limits, but not within one chunk of a file of this size.
+  CHECK(contains(message_of([&] {
+                   const ExrReader reader(with_data_window(bytes, {0, 0, 16383, 15}), "some.exr");
+                 }),
+                 "bytes only"));
+}
+
 TEST_CASE("deep, tiled and subsampled EXR is refused by name", "[exr]") {
   const TempFolder folder;
   const std::string path = (folder / "odd.exr").string();
