@@ -21,11 +21,7 @@ void add_inspect(CLI::App& app, Outcome& outcome);
 
 // The table that main.cpp walks, in the order of --help.
 inline constexpr AddCommand kCommands[] = {
-    add_check_data,
-    add_inspect,
-    add_forward,
-    add_bench,
-    nullptr,
+    add_check_data, add_inspect, add_forward, add_bench, nullptr,
 };
 
 }  // namespace opaline::cli
