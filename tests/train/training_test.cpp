@@ -1,0 +1,283 @@
+// Whole runs on small networks: bitwise resumption, overfitting, and what happens when things go wrong.
+#include <catch2/catch.hpp>
+#include <csignal>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "core/error.h"
+#include "core/file.h"
+#include "tests/train/synthetic.h"
+#include "train/checkpoint.h"
+#include "train/interrupt.h"
+#include "train/log.h"
+#include "train/stage.h"
+#include "train/trainer.h"
+
+namespace opaline {
+namespace {
+
+namespace fs = std::filesystem;
+using Catch::Matchers::Contains;
+using test::SyntheticDataset;
+using test::TemporaryFolder;
+
+// 20 scenes in micro-batches of 4: three steps an epoch, the last one shorter; six steps a stage.
+constexpr std::string_view kSmall = R"(
+[model]
+image_size = 32
+width = 4
+[train]
+batch = 8
+micro_batch = 4
+log_every = 1
+eval_scenes = 2
+keep = 100
+[stage1]
+epochs = 2
+[stage2]
+epochs = 2
+)";
+
+RunConfig small_config(std::vector<std::string> overrides = {}) {
+  return parse_run_config(kSmall, "small.toml", overrides);
+}
+
+std::shared_ptr<const Dataset> scenes(test::SyntheticOptions options = {.train = 20, .test = 2}) {
+  return std::make_shared<SyntheticDataset>(options);
+}
+
+TrainerOptions quiet(const fs::path& folder, std::shared_ptr<const Dataset> dataset = scenes()) {
+  TrainerOptions options{.run = {folder}, .dataset = std::move(dataset)};
+  options.progress.quiet = true;
+  return options;
+}
+
+/// Ends a run after a step, as a signal would.
+TrainerOptions stopping_after(int64_t step, TrainerOptions options) {
+  options.interrupted = [step](int64_t done) { return done == step ? SIGTERM : 0; };
+  return options;
+}
+
+/// The log without what depends on the clock and the machine.
+std::string log_without_wall(const fs::path& run) {
+  std::string text;
+  for (nlohmann::json event : read_events(run / "metrics.jsonl")) {
+    event.erase("wall");
+    text += event.dump() + "\n";
+  }
+  return text;
+}
+
+/// All files of a folder by name.
+std::map<std::string, std::string> files_of(const fs::path& folder) {
+  std::map<std::string, std::string> files;
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    files[entry.path().filename().string()] = read_text(entry.path());
+  }
+  return files;
+}
+
+/// The same checkpoint and the same log, byte for byte.
+void check_same_run(const fs::path& a, const fs::path& b, const std::string& step) {
+  const auto left = files_of(a / "checkpoints" / step);
+  const auto right = files_of(b / "checkpoints" / step);
+  REQUIRE(left.size() == 8);  // six networks, moments, state
+  REQUIRE(right.size() == left.size());
+  for (const auto& [name, bytes] : left) {
+    INFO(name);
+    CHECK(right.at(name) == bytes);
+  }
+  CHECK(log_without_wall(a) == log_without_wall(b));
+}
+
+TEST_CASE("a run that was stopped and resumed is bitwise the run that was not") {
+  const TemporaryFolder folder("resume");
+  const fs::path whole = folder.path() / "whole";
+  const TrainResult result = start_training(small_config(), quiet(whole));
+  CHECK(result.step == 12);
+  CHECK(result.signal == 0);
+
+  // In mid-epoch, at an epoch's end, at the stage's end, and in mid-epoch of stage 2.
+  for (const int64_t step : {2, 3, 6, 8}) {
+    INFO("stopped after step " << step);
+    const fs::path run = folder.path() / ("stopped-" + std::to_string(step));
+    const TrainResult stopped = start_training(small_config(), stopping_after(step, quiet(run)));
+    CHECK(stopped.step == step);
+    CHECK(stopped.signal == SIGTERM);
+    CHECK(resume_training(small_config(), quiet(run)).step == 12);
+    check_same_run(whole, run, "step-12");
+  }
+
+  SECTION("also when it is stopped after every step") {
+    const fs::path run = folder.path() / "often";
+    start_training(small_config(), stopping_after(1, quiet(run)));
+    for (int64_t step = 2; step <= 12; ++step) {
+      resume_training(small_config(), stopping_after(step, quiet(run)));
+    }
+    check_same_run(whole, run, "step-12");
+  }
+
+  SECTION("also after a crash that left later steps in the log and a damaged checkpoint") {
+    const fs::path run = folder.path() / "crashed";
+    start_training(small_config(), stopping_after(8, quiet(run)));
+    fs::resize_file(run / "checkpoints/step-8/sss.safetensors", 1000);
+    std::ofstream(run / "metrics.jsonl", std::ios::app) << R"({"event":"step","step":9)";
+    CHECK(resume_training(small_config(), quiet(run)).step == 12);
+    check_same_run(whole, run, "step-12");
+  }
+}
+
+TEST_CASE("threads change nothing but the time") {
+  const TemporaryFolder folder("threads");
+  for (const std::string threads : {"1", "2"}) {
+    start_training(small_config({"train.threads=" + threads, "data.threads=" + threads, "stage2.epochs=1"}),
+                   quiet(folder.path() / threads));
+  }
+  for (const char* const name : {"normal.safetensors", "sss.safetensors", "optimizer.safetensors"}) {
+    CHECK(read_text(folder.path() / "1/checkpoints/step-9" / name) ==
+          read_text(folder.path() / "2/checkpoints/step-9" / name));
+  }
+  CHECK(log_without_wall(folder.path() / "1") == log_without_wall(folder.path() / "2"));
+}
+
+TEST_CASE("four scenes can be learnt by heart, in both stages") {
+  const TemporaryFolder folder("overfit");
+  const RunConfig config =
+      small_config({"model.width=8", "train.batch=4", "train.micro_batch=4", "train.log_every=1",
+                    "train.eval_scenes=0", "stage1.epochs=260", "stage1.learning_rate=2e-3",
+                    "stage2.epochs=120", "stage2.learning_rate=1e-3", "train.keep=1"});
+  start_training(config, quiet(folder.path(), scenes({.train = 4, .test = 0})));
+  std::map<int64_t, std::vector<double>> losses;
+  for (const nlohmann::json& event : read_events(folder.path() / "metrics.jsonl")) {
+    if (event.at("event") == "step") losses[event.at("stage")].push_back(event.at("losses").at("total"));
+  }
+  REQUIRE(losses.size() == 2);
+  INFO("stage 1: " << losses[1].front() << " -> " << losses[1].back());
+  INFO("stage 2: " << losses[2].front() << " -> " << losses[2].back());
+  CHECK(losses[1].back() < 0.02 * losses[1].front());
+  CHECK(losses[2].back() < 0.02 * losses[1].front());
+}
+
+TEST_CASE("micro-batches add up to the gradient of the mean") {
+  const RunConfig config = small_config();
+  const SyntheticDataset dataset({.train = 8, .test = 0});
+  std::vector<Sample> samples;
+  for (int64_t i = 0; i < 4; ++i) {
+    samples.push_back(encode_scene(dataset.load(Split::kTrain, i, {}), config.model.encode));
+  }
+  const Batch batch = make_batch(samples);
+  const auto next = [&] { return batch; };
+  const StepOutcome once = Stage(config, 2).step(std::vector<int64_t>{4}, next, 1.0);
+  const StepOutcome thrice = Stage(config, 2).step(std::vector<int64_t>{4, 4, 4}, next, 1.0);
+  CHECK_FALSE(once.failure);
+  CHECK(once.losses.size() == 6);
+  CHECK(thrice.images == 12);
+  CHECK(thrice.gradient_norm == Approx(once.gradient_norm).epsilon(1e-4));
+  CHECK(thrice.losses.at("total") == Approx(once.losses.at("total")).epsilon(1e-5));
+}
+
+TEST_CASE("frozen networks and terms without weight stay untouched") {
+  const TemporaryFolder folder("freeze");
+  const RunConfig config = small_config({"stage1.epochs=1", "stage2.epochs=1", "stage2.freeze=['normal']",
+                                         "loss.depth.weight=0", "loss.reconstruction.weight=0"});
+  start_training(config, quiet(folder.path()));
+  const auto before = files_of(folder.path() / "checkpoints/step-3");
+  const auto after = files_of(folder.path() / "checkpoints/step-6");
+  CHECK(before.at("normal.safetensors") == after.at("normal.safetensors"));
+  CHECK(before.at("illumination.safetensors") != after.at("illumination.safetensors"));
+  CHECK_FALSE(after.contains("reconstruction.safetensors"));
+  for (const nlohmann::json& event : read_events(folder.path() / "metrics.jsonl")) {
+    if (event.at("event") == "step") CHECK_FALSE(event.at("losses").contains("depth"));
+  }
+  CHECK_THROWS_WITH(Stage(small_config({"stage1.freeze=['normal', 'depth', 'illumination']"}), 1),
+                    Contains("nothing is left to train"));
+}
+
+TEST_CASE("a changed config or data set is refused with the difference, unless forced") {
+  const TemporaryFolder folder("changed");
+  start_training(small_config(), stopping_after(2, quiet(folder.path())));
+  const RunConfig changed = small_config({"train.seed=9", "data.threads=2"});
+  CHECK_THROWS_WITH(resume_training(changed, quiet(folder.path())),
+                    Contains("train.seed: 1 -> 9") && !Contains("threads") && Contains("--force"));
+  const auto other = scenes({.train = 20, .test = 2, .fingerprint = "synthetic-2"});
+  CHECK_THROWS_WITH(resume_training(small_config(), quiet(folder.path(), other)),
+                    Contains("synthetic-1") && Contains("synthetic-2"));
+  TrainerOptions forced = quiet(folder.path(), other);
+  forced.force = true;
+  CHECK(resume_training(changed, forced).step == 12);
+}
+
+TEST_CASE("a run folder is not overwritten, nor shared") {
+  const TemporaryFolder folder("folder");
+  {
+    const RunLock lock({folder.path()});
+    CHECK_THROWS_WITH(start_training(small_config(), quiet(folder.path())),
+                      Contains(std::to_string(::getpid())) && Contains("is training in this run folder"));
+  }
+  start_training(small_config({"stage2.epochs=0"}), stopping_after(1, quiet(folder.path())));
+  CHECK_THROWS_AS(start_training(small_config(), quiet(folder.path())), UsageError);
+}
+
+TEST_CASE("a loss that is not finite stops the run, names layer and scenes, and can be replayed") {
+  const TemporaryFolder folder("poison");
+  const auto poisoned = scenes({.train = 20, .test = 0, .poisoned = 13});
+  std::string message;
+  try {
+    start_training(small_config(), quiet(folder.path(), poisoned));
+  } catch (const Error& error) {
+    message = error.what();
+  }
+  INFO(message);
+  CHECK_THAT(message, Contains("the loss is") && Contains("train-13") && Contains("target"));
+  const auto failures = list_checkpoints(folder.path() / "failures");
+  REQUIRE(failures.size() == 1);
+  CHECK(fs::exists(failures[0] / "batch.safetensors"));
+  CHECK(fs::exists(failures[0] / "failure.json"));
+  // What was saved is sound, and the step fails in the same way from it.
+  TrainerOptions replay = quiet(folder.path(), poisoned);
+  replay.from = failures[0];
+  CHECK_THROWS_WITH(resume_training(small_config(), replay), Contains("train-13"));
+}
+
+TEST_CASE("weights that are not finite are named") {
+  Stage stage(small_config(), 1);
+  Tensor weight = stage.cascade().network("depth").named_parameters().at(4).tensor;
+  weight.data<float>()[0] = std::numeric_limits<float>::infinity();
+  const SyntheticDataset dataset({.train = 4, .test = 0});
+  std::vector<Sample> samples;
+  for (int64_t i = 0; i < 4; ++i) {
+    samples.push_back(encode_scene(dataset.load(Split::kTrain, i, {}), small_config().model.encode));
+  }
+  const StepOutcome outcome = stage.step(
+      std::vector<int64_t>{4}, [&] { return make_batch(samples); }, 1.0);
+  REQUIRE(outcome.failure);
+  CHECK_THAT(outcome.failure->layer,
+             Contains("depth." + stage.cascade().network("depth").named_parameters().at(4).name));
+  CHECK(outcome.failure->scenes.size() == 4);
+}
+
+TEST_CASE("a scene too few for batch statistics is explained") {
+  const TemporaryFolder folder("one");
+  CHECK_THROWS_WITH(start_training(small_config(), quiet(folder.path(), scenes({.train = 1, .test = 0}))),
+                    Contains("one image"));
+  CHECK_THROWS_WITH(start_training(small_config(), quiet(folder.path(), scenes({.train = 0, .test = 0}))),
+                    Contains("no training scenes"));
+}
+
+TEST_CASE("the first signal is remembered, and the handlers are put back") {
+  struct sigaction before {};
+  sigaction(SIGTERM, nullptr, &before);
+  {
+    const InterruptGuard guard;
+    CHECK(guard.signal() == 0);
+    std::raise(SIGTERM);
+    CHECK(guard.signal() == SIGTERM);
+  }
+  struct sigaction after {};
+  sigaction(SIGTERM, nullptr, &after);
+  CHECK(before.sa_handler == after.sa_handler);
+}
+
+}  // namespace
+}  // namespace opaline

@@ -1,0 +1,41 @@
+// Line charts and scatter plots as inline SVG.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace opaline {
+
+struct ChartPoint {
+  double x = 0.0;
+  double y = 0.0;
+};
+
+struct ChartSeries {
+  std::string name;
+  std::string colour;  ///< as CSS has it
+  std::vector<ChartPoint> points;
+  bool markers = false;  ///< a dot at each point
+};
+
+struct ChartOptions {
+  std::string title = {};
+  std::string x_label = {};
+  bool log_y = false;                    ///< points that are not positive are left out
+  bool lines = true;                     ///< false: a scatter plot
+  bool diagonal = false;                 ///< the line y = x, and one range for both axes
+  std::vector<double> x_marks = {};      ///< dashed verticals, such as the change of stage
+  std::optional<double> reference = {};  ///< dashed horizontal
+  std::string reference_name = {};
+  int width = 420;
+  int height = 240;
+};
+
+/// One <svg> element. Points that are not finite are left out; without any point it says so.
+std::string render_chart(const std::vector<ChartSeries>& series, const ChartOptions& options);
+
+/// Text with &, <, > and quotes escaped.
+std::string escape_html(std::string_view text);
+
+}  // namespace opaline

@@ -1,0 +1,48 @@
+#include "train/diagnose.h"
+
+#include <map>
+
+#include "core/autograd.h"
+#include "nn/state.h"
+#include "train/graph.h"
+
+namespace opaline {
+namespace {
+
+bool finite(const Tensor& tensor) {
+  return !tensor.defined() || !tensor.is_floating() || all_finite(tensor);
+}
+
+}  // namespace
+
+std::string first_non_finite(const Tensor& root, const std::vector<NamedTensor>& parameters) {
+  std::map<const void*, std::string> names;
+  for (const NamedTensor& parameter : parameters) names[parameter.tensor.id()] = parameter.name;
+
+  std::string last_parameter;
+  for (const Tensor& tensor : computation_order(root)) {
+    const auto name = names.find(tensor.id());
+    if (name != names.end()) last_parameter = name->second;
+    if (finite(tensor)) continue;
+    if (name != names.end()) return "the parameter " + name->second;
+    const Node* const node = tensor.node().get();
+    if (node == nullptr) return "a network input or target " + to_string(tensor.shape());
+    std::string layer;
+    for (const Tensor& input : node->inputs) {
+      const auto found = input.defined() ? names.find(input.id()) : names.end();
+      if (found != names.end() && layer.empty()) layer = " with " + found->second;
+    }
+    if (layer.empty() && !last_parameter.empty()) layer = " after " + last_parameter;
+    return std::string(node->operation) + layer + ", result " + to_string(tensor.shape());
+  }
+  return {};
+}
+
+std::string first_non_finite_gradient(const std::vector<NamedTensor>& parameters) {
+  for (auto parameter = parameters.rbegin(); parameter != parameters.rend(); ++parameter) {
+    if (!finite(parameter->tensor.grad())) return parameter->name;
+  }
+  return {};
+}
+
+}  // namespace opaline

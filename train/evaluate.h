@@ -1,0 +1,70 @@
+// A cascade's errors over a data set, beside those of predicting the training mean.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "data/dataset.h"
+#include "data/encode.h"
+#include "models/cascade.h"
+#include "train/metrics.h"
+
+namespace opaline {
+
+/// The best predictor that does not look at the image: at each pixel the mean normal of the training scenes
+/// that cover it (normalised) and their mean depth, and the mean SSS parameters.
+struct MeanPredictor {
+  int width = 0;
+  int height = 0;
+  std::vector<float> normal;  ///< H x W x 3; (0, 0, 1) where no scene is
+  std::vector<float> depth;   ///< H x W; the mean of all where no scene is
+  std::optional<SssValues> sss;
+};
+
+/// From the training split; from `max_scenes` of it, evenly spread, where it has more. Throws Error where it
+/// is empty, has no ground truth or scenes of several sizes.
+MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes = 4000);
+
+struct EvaluateOptions {
+  Split split = Split::kTest;
+  int64_t max_scenes = 0;  ///< the first so many; 0: all
+  int64_t batch = 8;
+  int threads = 1;  ///< that read and encode
+};
+
+struct SceneResult {
+  std::string id;
+  Metrics cascade{};
+  Metrics mean{};  ///< of the mean predictor; empty without one
+  std::optional<SssValues> sss_estimate;
+  std::optional<SssValues> sss_truth;
+};
+
+/// Runs the cascade in evaluation mode over the split and measures every scene; it stays in that mode. `mean`
+/// may be null. Throws Error naming the scene where truth is missing or an output is not finite.
+std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const Dataset>& dataset,
+                                  const EncodeOptions& encode, const MeanPredictor* mean,
+                                  const EvaluateOptions& options = {});
+
+/// Means and their intervals.
+struct EvaluationSummary {
+  int64_t n = 0;
+  Metrics cascade{};
+  std::array<std::optional<Interval>, kMetricCount> ci95{};
+  Metrics mean_predictor{};
+};
+EvaluationSummary summarize(const std::vector<SceneResult>& results);
+
+/// {"release": {"normal", "depth", "sigma_t", "albedo", "g"}, "angular_degrees", "depth_aligned"}; null where
+/// absent.
+nlohmann::ordered_json to_json(const Metrics& metrics);
+/// The object of `opaline eval --json`: n, release, angular_degrees, depth_aligned, ci95, mean_predictor.
+nlohmann::ordered_json to_json(const EvaluationSummary& summary);
+/// A table for people.
+std::string format_table(const EvaluationSummary& summary);
+
+}  // namespace opaline
