@@ -1,0 +1,195 @@
+// `opaline bench step`: time, work and memory of one training step or forward pass.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "cli/commands.h"
+#include "core/autograd.h"
+#include "core/error.h"
+#include "core/memory.h"
+#include "core/random.h"
+#include "models/cascade.h"
+#include "train/graph.h"
+#include "train/losses.h"
+
+namespace opaline::cli {
+namespace {
+
+struct BenchArguments {
+  std::string net;
+  int64_t size = 256;
+  int64_t batch = 1;
+  int64_t width = 64;
+  int64_t repeats = 3;
+  bool forward_only = false;
+  bool json = false;
+};
+
+Tensor random_tensor(Shape shape, uint32_t sample, double low = -1.0, double high = 1.0) {
+  Tensor tensor(std::move(shape));
+  Random random(1, Purpose::kTest, 0, sample);
+  for (float& value : tensor.values<float>()) value = static_cast<float>(random.uniform(low, high));
+  return tensor;
+}
+
+/// What is timed: a forward pass that gives a scalar or a result, and how to go backward from it.
+class Step {
+ public:
+  virtual ~Step() = default;
+  virtual Tensor forward() = 0;
+  virtual void go_backward(const Tensor& result) { backward(result); }
+  virtual void zero_grad() = 0;
+  virtual void set_training(bool on) = 0;
+};
+
+class NetworkStep : public Step {
+ public:
+  explicit NetworkStep(const BenchArguments& arguments)
+      : network_(make_network(arguments.net, {.image_size = arguments.size, .width = arguments.width})) {
+    initialize_network(*network_, arguments.net, 1);
+    const NetworkOptions released;
+    const int64_t n = released.input_channels;
+    const int64_t b = arguments.batch;
+    const int64_t s = arguments.size;
+    if (arguments.net == "illumination_decoder") {
+      input_ = random_tensor({b, illumination_values(released.variant)}, 0);
+    } else if (arguments.net == "sss") {
+      input_ = random_tensor({b, s, s, 5 + n}, 0);
+    } else if (arguments.net == "reconstruction") {
+      input_ = random_tensor({b, s, s, kBsdfChannels + sss_values(released.variant)}, 0);
+    } else {
+      input_ = random_tensor({b, s, s, n}, 0);
+    }
+  }
+  Tensor forward() override { return network_->forward(input_); }
+  void go_backward(const Tensor& result) override {
+    if (!cotangent_.defined()) cotangent_ = random_tensor(result.shape(), 1);
+    backward(result, cotangent_);
+  }
+  void zero_grad() override { network_->zero_grad(); }
+  void set_training(bool on) override { network_->set_training(on); }
+
+ private:
+  std::unique_ptr<Network> network_;
+  Tensor input_, cotangent_;
+};
+
+class StageStep : public Step {
+ public:
+  explicit StageStep(const BenchArguments& arguments)
+      : cascade_({.network = {.image_size = arguments.size, .width = arguments.width},
+                  .stage = arguments.net == "stage1" ? 1 : 2}) {
+    cascade_.initialize(1);
+    const Variant variant = cascade_.options().network.variant;
+    const int64_t b = arguments.batch;
+    const int64_t s = arguments.size;
+    input_.image = random_tensor({b, s, s, cascade_.options().network.input_channels}, 0);
+    input_.bsdf = random_tensor({b, s, s, kBsdfChannels}, 1);
+    targets_.mask = Tensor::full({b, s, s, 1}, 1.0);
+    targets_.normal = random_tensor({b, s, s, 3}, 2);
+    targets_.depth = random_tensor({b, s, s, 1}, 3);
+    targets_.illumination = random_tensor({b, illumination_values(variant)}, 4);
+    targets_.sss = random_tensor({b, sss_values(variant)}, 5);
+    targets_.reconstruction = random_tensor({b, s, s, kBsdfChannels}, 6);
+  }
+  Tensor forward() override {
+    const LossOptions losses;
+    const CascadeWanted wanted = wanted_outputs(losses, cascade_.options());
+    return compute_losses(losses, cascade_.forward(input_, wanted), targets_).total;
+  }
+  void zero_grad() override { cascade_.zero_grad(); }
+  void set_training(bool on) override { cascade_.set_training(on); }
+
+ private:
+  Cascade cascade_;
+  CascadeInput input_;
+  LossTargets targets_;
+};
+
+void run_bench_step(const BenchArguments& arguments) {
+  const bool stage = arguments.net == "stage1" || arguments.net == "stage2";
+  std::unique_ptr<Step> step;
+  if (stage) {
+    step = std::make_unique<StageStep>(arguments);
+  } else {
+    step = std::make_unique<NetworkStep>(arguments);
+  }
+
+  // The forward pass alone is what prediction runs: with running statistics, so that one image will do.
+  step->set_training(!arguments.forward_only);
+
+  // The warm-up fills the pool and, because it records, tells the work.
+  WorkCount work;
+  {
+    const Tensor result = step->forward();
+    work = count_work(result);
+    if (!arguments.forward_only) step->go_backward(result);
+  }
+  step->zero_grad();
+  tensor_pool().release_cached();
+  tensor_pool().reset_peak();
+
+  std::vector<double> seconds;
+  for (int64_t i = 0; i < arguments.repeats; ++i) {
+    const auto begin = std::chrono::steady_clock::now();
+    if (arguments.forward_only) {
+      const NoGradGuard no_grad;
+      step->forward();
+    } else {
+      step->go_backward(step->forward());
+    }
+    seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    step->zero_grad();
+  }
+  std::nth_element(seconds.begin(), seconds.begin() + static_cast<std::ptrdiff_t>(seconds.size() / 2),
+                   seconds.end());
+  const double median = seconds[seconds.size() / 2];
+  const int64_t macs = work.forward + (arguments.forward_only ? 0 : work.backward);
+  const double gflops = 2e-9 * static_cast<double>(macs) / median;
+  const int64_t peak = tensor_pool().peak_bytes();
+  if (arguments.json) {
+    const nlohmann::ordered_json json = {{"seconds", median}, {"gflops", gflops}, {"peak_bytes", peak}};
+    fmt::print("{}\n", json.dump());
+  } else {
+    fmt::print("{} {}, {} x {} x {}: {:.4g} s, {:.4g} GFLOP/s ({:.4g} GMAC), peak {:.4g} MiB\n",
+               arguments.net, arguments.forward_only ? "forward" : "forward and backward", arguments.batch,
+               arguments.size, arguments.size, median, gflops, 1e-9 * static_cast<double>(macs),
+               static_cast<double>(peak) / (1 << 20));
+  }
+}
+
+}  // namespace
+
+void add_bench(CLI::App& app, Outcome&) {
+  const auto arguments = std::make_shared<BenchArguments>();
+  CLI::App* bench = app.add_subcommand("bench", "Measure speed and memory");
+  bench->require_subcommand(1);
+  CLI::App* command =
+      bench->add_subcommand("step",
+                            "Time the forward and backward pass of one network or stage, without the "
+                            "optimiser: the median, the rate\n"
+                            "by the direct-convolution count, and the peak of the storage pool.");
+  std::vector<std::string> nets(kNetworkNames.begin(), kNetworkNames.end());
+  nets.insert(nets.end(), {"stage1", "stage2"});
+  command->add_option("--net", arguments->net, fmt::format("One of {}", fmt::join(nets, ", ")))
+      ->required()
+      ->check(CLI::IsMember(nets));
+  command->add_option("--size", arguments->size, "Image size")->capture_default_str();
+  command->add_option("--batch", arguments->batch, "Images")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_option("--width", arguments->width, "Channels of the first layer")->capture_default_str();
+  command->add_option("--repeats", arguments->repeats, "Timed repetitions after one warm-up")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_flag("--forward", arguments->forward_only, "The forward pass alone, in evaluation mode");
+  command->add_flag("--json", arguments->json, "Print one JSON object");
+  command->callback([arguments] { run_bench_step(*arguments); });
+}
+
+}  // namespace opaline::cli
