@@ -18,10 +18,12 @@ void add_bench(CLI::App& app, Outcome& outcome);
 void add_check_data(CLI::App& app, Outcome& outcome);
 void add_forward(CLI::App& app, Outcome& outcome);
 void add_inspect(CLI::App& app, Outcome& outcome);
+void add_render(CLI::App& app, Outcome& outcome);
+void add_validate(CLI::App& app, Outcome& outcome);
 
 // The table that main.cpp walks, in the order of --help.
 inline constexpr AddCommand kCommands[] = {
-    add_check_data, add_inspect, add_forward, add_bench, nullptr,
+    add_render, add_check_data, add_inspect, add_forward, add_validate, add_bench, nullptr,
 };
 
 }  // namespace opaline::cli

@@ -135,6 +135,7 @@ LossOptions read_loss(const TomlTable& table) {
 RunConfig read_config(TomlConfig config) {
   RunConfig run;
   const TomlTable root = config.root();
+  run.render = read_generate_config(root.table("render"));
   run.data = read_data(root.table("data"));
   run.model = read_model(root.table("model"));
   run.train = read_train(root.table("train"), run.model.variant, run.warnings);

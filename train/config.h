@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "data/encode.h"
+#include "data/generate.h"
 #include "models/cascade.h"
 #include "nn/optim.h"
 #include "train/losses.h"
@@ -65,6 +66,7 @@ struct TrainConfig {
 };
 
 struct RunConfig {
+  GenerateConfig render;
   DataConfig data;
   ModelConfig model;
   TrainConfig train;

@@ -1,0 +1,251 @@
+#include "data/generate.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <map>
+#include <mutex>
+
+#include "core/error.h"
+#include "core/parallel.h"
+#include "data/scene_set.h"
+
+namespace opaline {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::string_view kVersion = "0.1.0";
+constexpr uint32_t kMostAttempts = 1000;
+
+render::Range read_range(const TomlTable& table, std::string_view key, const render::Range& otherwise,
+                         const RealRange& limits) {
+  const std::vector<double> values = table.reals(key, {otherwise.low, otherwise.high}, limits, 2);
+  if (values.size() != 2) return otherwise;
+  if (!(values[0] <= values[1])) {
+    table.error(key, fmt::format("[{}, {}] has its ends the wrong way round", values[0], values[1]));
+    return otherwise;
+  }
+  return {values[0], values[1]};
+}
+
+std::vector<render::Family> read_families(const TomlTable& table) {
+  const std::vector<std::string> names(render::kFamilyNames.begin(), render::kFamilyNames.end());
+  std::vector<render::Family> families;
+  for (const std::string& name : table.texts("families", names)) {
+    const auto found = std::find(names.begin(), names.end(), name);
+    if (found == names.end()) {
+      const std::string near = did_you_mean(name, names);
+      table.error("families", fmt::format("there is no family \"{}\"{}; there are {}", name,
+                                          near.empty() ? "" : fmt::format(" (did you mean \"{}\"?)", near),
+                                          fmt::join(names, ", ")));
+      continue;
+    }
+    families.push_back(static_cast<render::Family>(found - names.begin()));
+  }
+  if (families.empty()) table.error("families", "names no family of shapes");
+  return families;
+}
+
+/// The index of one split while it grows: in the file in the order of completion, sorted at the end.
+class Index {
+ public:
+  Index(fs::path path, const fs::path& root, int64_t first, int64_t count) : path_(std::move(path)) {
+    if (!fs::exists(path_)) return;
+    for (SceneRecord& record : read_scene_index(path_, true)) {
+      const int64_t number = number_of(record);
+      const bool wanted = number >= first && number < first + count;
+      if (wanted && scene_is_intact(root, record)) records_[number] = std::move(record);
+    }
+    sort();  // drops what is torn, damaged or no longer wanted
+  }
+
+  bool has(int64_t number) const { return records_.contains(number); }
+  int64_t size() const { return static_cast<int64_t>(records_.size()); }
+  void add(int64_t number, const SceneRecord& record) {
+    append_scene_record(path_, record);
+    records_[number] = record;
+  }
+  void sort() const {
+    std::vector<SceneRecord> all;
+    for (const auto& [number, record] : records_) all.push_back(record);
+    write_scene_index(path_, all);
+  }
+
+ private:
+  static int64_t number_of(const SceneRecord& record) {
+    const std::string name = fs::path(record.file).stem().string();
+    const bool digits = !name.empty() && name.find_first_not_of("0123456789") == std::string::npos;
+    return digits && name.size() < 12 ? std::stoll(name) : -1;
+  }
+
+  fs::path path_;
+  std::map<int64_t, SceneRecord> records_;
+};
+
+struct Rendered {
+  SceneImages images;
+  SceneRecord record;
+  render::PathFaults faults;
+  int64_t redrawn = 0;
+};
+
+Rendered render_number(const GenerateConfig& config, int64_t number) {
+  const auto begin = std::chrono::steady_clock::now();
+  const auto id = static_cast<uint32_t>(number);
+  Rendered result;
+  for (uint32_t attempt = 0;; ++attempt) {
+    if (attempt == kMostAttempts) {
+      fail_usage("render",
+                 "scene {}: {} draws in a row have an object that leaves the picture or covers no pixel; "
+                 "lower render.radius or render.offset, or raise render.size",
+                 number, attempt);
+    }
+    const render::SceneModel scene =
+        render::draw_scene(config.ranges, config.camera, config.seed, id, attempt);
+    if (!render::likely_well_framed(scene, config.camera)) {
+      ++result.redrawn;
+      continue;
+    }
+    render::SceneRender made = render_scene(scene, config.camera,
+                                            {.spp = config.spp,
+                                             .bsdf = config.bsdf,
+                                             .guide = {.photons = config.photons},
+                                             .seed = config.seed,
+                                             .number = id});
+    if (!render::well_framed(made.coverage, made.width, made.height)) {
+      ++result.redrawn;
+      continue;
+    }
+    SceneRecord& record = result.record;
+    record.id = fmt::format("{:06}", number);
+    record.sigma_t = scene.medium.sigma_t;
+    record.albedo = scene.medium.albedo;
+    record.g = scene.medium.g;
+    record.flash = scene.light.flash.radiance;
+    const auto sh = scene.light.environment.project();
+    for (size_t c = 0; c < 3; ++c)
+      std::copy(sh[c].begin(), sh[c].end(), record.sh.begin() + 9 * static_cast<std::ptrdiff_t>(c));
+    record.object = scene.object;
+    record.environment = scene.environment;
+    record.seed = config.seed;
+    record.spp = config.spp;
+    result.faults = made.faults;
+    result.images = {.width = made.width,
+                     .height = made.height,
+                     .image = std::move(made.image),
+                     .bsdf = std::move(made.bsdf),
+                     .normal = std::move(made.normal),
+                     .depth = std::move(made.depth),
+                     .coverage = std::move(made.coverage)};
+    break;
+  }
+  result.record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return result;
+}
+
+void compare_with_existing(const GenerateConfig& config, const fs::path& root) {
+  const SceneSetInfo before = read_scene_set_info(root);
+  if (before.config_text == config.text() && before.generator_version == kVersion) return;
+  fail_usage(root.string(),
+             "holds a data set of another config, generator {}:\n{}\nasked for now, generator {}:\n{}\n"
+             "Choose another folder, or remove this one",
+             before.generator_version, before.config_text, kVersion, config.text());
+}
+
+}  // namespace
+
+std::string GenerateConfig::text() const {
+  std::vector<std::string_view> names;
+  for (const render::Family family : ranges.families) {
+    names.push_back(render::kFamilyNames[static_cast<size_t>(family)]);
+  }
+  const auto range = [](const render::Range& r) { return fmt::format("[{}, {}]", r.low, r.high); };
+  return fmt::format(
+      "seed = {}\nsize = {}\nspp = {}\nbsdf = \"{}\"\nphotons = {}\nfamilies = [\"{}\"]\nradius = {}\n"
+      "offset = {}\nbump = {}\nsigma_t = {}\nalbedo = {}\ng = {}\nflash = {}\nenvironment = {}\n",
+      seed, camera.width, spp, render::kBsdfReadingNames[static_cast<size_t>(bsdf)], photons,
+      fmt::join(names, "\", \""), range(ranges.radius), ranges.offset, ranges.bump, range(ranges.sigma_t),
+      range(ranges.albedo), range(ranges.g), range(ranges.flash), range(ranges.environment));
+}
+
+GenerateConfig read_generate_config(const TomlTable& table) {
+  GenerateConfig c;
+  render::SceneRanges& r = c.ranges;
+  c.train = table.integer("train", c.train, {.min = 0, .max = 100'000'000});
+  c.test = table.integer("test", c.test, {.min = 0, .max = 100'000'000});
+  c.seed = static_cast<uint64_t>(table.integer("seed", 1, {.min = 0}));
+  c.camera.width = c.camera.height =
+      static_cast<int>(table.integer("size", c.camera.width, {.min = 16, .max = 4096}));
+  c.spp = table.integer("spp", c.spp, {.min = 1, .max = 1'000'000});
+  c.bsdf = table.choice("bsdf", "clear", render::kBsdfReadingNames) == "clear"
+               ? render::BsdfReading::kClear
+               : render::BsdfReading::kReflection;
+  c.photons = table.integer("photons", c.photons, {.min = 0, .max = 100'000'000});
+  r.families = read_families(table);
+  r.radius = read_range(table, "radius", r.radius, {.min = 0.01, .max = render::kCube});
+  r.offset = table.real("offset", r.offset, {.min = 0.0, .max = render::kCube});
+  if (!(r.radius.high + r.offset <= render::kCube)) {
+    table.error("offset", fmt::format("{} and a radius of {} leave the cube of half-width {}", r.offset,
+                                      r.radius.high, render::kCube));
+  }
+  r.bump = table.real("bump", r.bump, {.min = 0.0, .max = 1.0});
+  r.sigma_t = read_range(table, "sigma_t", r.sigma_t, {.min = 0.0, .max = 32.0});
+  r.albedo = read_range(table, "albedo", r.albedo, {.min = 0.0, .max = 1.0});
+  r.g = read_range(table, "g", r.g, {.min = -0.99, .max = 0.99});
+  r.flash = read_range(table, "flash", r.flash, {.min = 0.0, .max = 1e4});
+  r.environment = read_range(table, "environment", r.environment, {.min = 1e-6, .max = 1e3});
+  return c;
+}
+
+GenerateResult generate(const GenerateConfig& config, const fs::path& root, const GenerateOptions& options) {
+  const int64_t total = config.train + config.test;
+  if (total == 0) fail_usage("render", "no scenes to render: set render.train and render.test");
+  fs::create_directories(root / "scenes");
+  if (fs::exists(root / "dataset.toml")) compare_with_existing(config, root);
+  write_scene_set_info(root,
+                       {.generator_version = std::string(kVersion),
+                        .seed = config.seed,
+                        .train = config.train,
+                        .test = config.test,
+                        .width = config.camera.width,
+                        .height = config.camera.height,
+                        .bsdf = std::string(render::kBsdfReadingNames[static_cast<size_t>(config.bsdf)]),
+                        .config_text = config.text()});
+
+  std::array<Index, 2> indices = {Index(root / "train.jsonl", root, 0, config.train),
+                                  Index(root / "test.jsonl", root, config.train, config.test)};
+  const auto index_of = [&](int64_t number) -> Index& { return indices[number < config.train ? 0 : 1]; };
+  std::vector<int64_t> missing;
+  for (int64_t number = 0; number < total; ++number) {
+    if (!index_of(number).has(number)) missing.push_back(number);
+  }
+  GenerateResult result;
+  result.kept = total - static_cast<int64_t>(missing.size());
+  options.progress(result.kept, total);
+
+  std::mutex mutex;
+  parallel_for(static_cast<int64_t>(missing.size()), [&](int64_t i) {
+    {
+      const std::lock_guard lock(mutex);
+      if (options.stop()) return;
+    }
+    const int64_t number = missing[static_cast<size_t>(i)];
+    Rendered made = render_number(config, number);
+    const WrittenScene written = write_scene(root, number, made.images, made.record);
+    const std::lock_guard lock(mutex);
+    index_of(number).add(number, made.record);
+    ++result.rendered;
+    result.redrawn += made.redrawn;
+    result.clamped += written.clamped;
+    result.faults.lost += made.faults.lost;
+    result.faults.paths += made.faults.paths;
+    options.progress(result.kept + result.rendered, total);
+  });
+  for (const Index& index : indices) index.sort();
+  result.complete = result.kept + result.rendered == total;
+  return result;
+}
+
+}  // namespace opaline

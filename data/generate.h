@@ -1,0 +1,55 @@
+// Renders a data set: `opaline render`.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+
+#include "data/render/scene.h"
+#include "data/toml_config.h"
+
+namespace opaline {
+
+/// The table [render] of a config.
+struct GenerateConfig {
+  int64_t train = 0;  ///< scenes
+  int64_t test = 0;
+  uint64_t seed = 1;
+  render::Camera camera{};
+  render::SceneRanges ranges{};
+  int64_t spp = 32;  ///< samples a pixel
+  render::BsdfReading bsdf = render::BsdfReading::kClear;
+  int64_t photons = 8192;  ///< light sub-paths of a scene's guide
+
+  /// Every key above that decides what a scene looks like, as TOML lines: what a resumed run is compared
+  /// with.
+  std::string text() const;
+};
+
+/// Reads the table; problems are recorded in the config that it belongs to.
+GenerateConfig read_generate_config(const TomlTable& table);
+
+struct GenerateOptions {
+  /// Told after each scene: how many of all are there now.
+  std::function<void(int64_t done, int64_t total)> progress = [](int64_t, int64_t) {};
+  /// Asked before each scene; true ends the run after the scenes in progress.
+  std::function<bool()> stop = [] { return false; };
+};
+
+struct GenerateResult {
+  int64_t rendered = 0;  ///< scenes, now
+  int64_t kept = 0;      ///< scenes that were there and intact
+  int64_t redrawn = 0;   ///< draws whose object left the picture or missed it
+  int64_t clamped = 0;   ///< values too bright for half floats
+  render::PathFaults faults;
+  bool complete = false;
+};
+
+/// Renders what is missing of the data set in `root`, each scene on one thread. Training scenes come first. A
+/// scene is a function of (seed, number): neither threads nor interruptions change a bit of it. A scene is in
+/// the index only once its file is whole, so a killed run goes on where it was. Throws UsageError with the
+/// difference where `root` holds a set of another config.
+GenerateResult generate(const GenerateConfig& config, const std::filesystem::path& root,
+                        const GenerateOptions& options = {});
+
+}  // namespace opaline

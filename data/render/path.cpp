@@ -1,0 +1,288 @@
+#include "data/render/path.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "data/render/mueller.h"
+
+namespace opaline::render {
+namespace {
+
+struct Ray {
+  Vec3 origin;
+  Vec3 direction;
+  bool inside = false;
+};
+
+enum class End { kEscaped, kScattered, kLost, kStopped };
+
+/// After so many surface events a path goes on with this probability only: a ray may be caught between
+/// totally reflecting faces.
+constexpr int kSureEvents = 12;
+constexpr double kGoOn = 0.8;
+/// Paths of less throughput than this are thinned out.
+constexpr double kThin = 0.15;
+
+double largest(const Rgb& c) {
+  return std::max({c[0], c[1], c[2]});
+}
+
+template <int R>
+void unit_response(Response<R>& response, const Vec3& direction) {
+  static_assert(R == 1);
+  response.pure[0] = response.scattered[0] = {1.0, 0.0, 0.0, 0.0};
+  response.axis = basis_around(direction).first;
+}
+
+template <int R>
+void add(StokesRgb& sum, const std::array<Stokes, R>& rows, const Rgb& light) {
+  for (size_t i = 0; i < 3; ++i)
+    for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i][0] * light[c];
+}
+
+Rgb product(const Rgb& a, const Rgb& b) {
+  return {a[0] * b[0], a[1] * b[1], a[2] * b[2]};
+}
+
+Rgb scaled(const Rgb& a, double s) {
+  return {a[0] * s, a[1] * s, a[2] * s};
+}
+
+/// A walker through one world; it exists for the length of one camera sample.
+class Walker {
+ public:
+  Walker(const World& world, Random& random, PathFaults& faults)
+      : world_(world), random_(random), faults_(faults) {}
+
+  PathSample run(const CameraRay& camera);
+
+ private:
+  template <int R>
+  void cross(const Hit& hit, Ray& ray, Response<R>& response);
+  bool consistent(const Hit& hit, const Ray& ray) const {
+    return (dot(ray.direction, hit.normal) > 0.0) == ray.inside;
+  }
+  template <int R>
+  End fly(Ray& ray, Response<R>& response, Rgb& beta);
+  template <int R>
+  End follow(Ray& ray, Response<R>& response, double& length, double& weight, double dark);
+  void add_unscattered(const Ray& start, const Response<3>& response, StokesRgb& sum, StokesRgb& clear);
+  void add_scattered(Ray ray, Response<3> response, StokesRgb& sum);
+  void connect(const Vec3& position, const Vec3& direction, const Rgb& beta, const Rgb& rows, StokesRgb& sum);
+
+  const World& world_;
+  Random& random_;
+  PathFaults& faults_;
+};
+
+/// Reflects or refracts the ray, with the probability of unpolarised light.
+template <int R>
+void Walker::cross(const Hit& hit, Ray& ray, Response<R>& response) {
+  const double cosine = dot(ray.direction, hit.normal);
+  const double eta = ray.inside ? 1.0 / world_.index : world_.index;
+  const Fresnel f = fresnel(std::abs(cosine), eta);
+  const double reflectance = f.reflectance();
+  const bool reflects = f.total || random_.uniform() < reflectance;
+  const SurfaceEvent event{.direction = ray.direction,
+                           .normal = hit.normal,
+                           .fresnel = f,
+                           .weight = 1.0 / (reflects ? reflectance : 1.0 - reflectance),
+                           .inside = ray.inside};
+  if (reflects) {
+    response.reflect(event);
+    ray.direction = reflect(ray.direction, hit.normal);
+  } else {
+    response.transmit(event);
+    ray.direction = refract(ray.direction, cosine < 0.0 ? hit.normal : -hit.normal, f, eta);
+    ray.inside = !ray.inside;
+  }
+  ray.origin = world_.geometry->leave(hit, ray.direction);
+}
+
+/// Moves the ray, which the medium may scatter, until it is scattered or leaves the scene.
+template <int R>
+End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta) {
+  for (int events = 0;; ++events) {
+    Hit hit;
+    if (ray.inside) {
+      const SpectralFlight flight(world_.medium, beta);
+      const double choose = random_.uniform();
+      const double distance = flight.sample(choose, random_.uniform());
+      if (!world_.geometry->intersect(ray.origin, ray.direction, distance, hit)) {
+        if (!std::isfinite(distance)) return End::kLost;
+        flight.collide(distance, beta);
+        ray.origin = ray.origin + ray.direction * distance;
+        return End::kScattered;
+      }
+      flight.arrive(hit.distance, beta);
+    } else if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
+      return End::kEscaped;
+    }
+    if (!consistent(hit, ray)) return End::kLost;
+    if (events >= kSureEvents) {
+      if (random_.uniform() >= kGoOn) return End::kStopped;
+      beta = scaled(beta, 1.0 / kGoOn);
+    }
+    cross(hit, ray, response);
+  }
+}
+
+/// Moves the ray, which nothing scatters, until it leaves the scene. `length` gets what lies inside, `weight`
+/// the roulette's factor; where the transmittance falls under `dark`, roulette follows it.
+template <int R>
+End Walker::follow(Ray& ray, Response<R>& response, double& length, double& weight, double dark) {
+  for (int events = 0;; ++events) {
+    Hit hit;
+    if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
+      return ray.inside ? End::kLost : End::kEscaped;
+    }
+    if (!consistent(hit, ray)) return End::kLost;
+    if (ray.inside) length += hit.distance;
+    double go_on = events >= kSureEvents ? kGoOn : 1.0;
+    if (dark > 0.0) go_on = std::min(go_on, largest(world_.medium.transmittance(length)) * weight / dark);
+    if (go_on < 1.0) {
+      if (!(random_.uniform() < go_on)) return End::kStopped;
+      weight /= go_on;
+    }
+    cross(hit, ray, response);
+  }
+}
+
+/// The clear dielectric's light, with and without extinction.
+void Walker::add_unscattered(const Ray& start, const Response<3>& before, StokesRgb& sum, StokesRgb& clear) {
+  Ray ray = start;
+  Response<3> response = before;
+  double length = 0.0, weight = 1.0;
+  const End end = follow(ray, response, length, weight, 0.0);
+  if (end == End::kLost) ++faults_.lost;
+  if (end != End::kEscaped) return;
+  const Rgb light = scaled(world_.light->radiance(ray.origin, ray.direction), weight);
+  add<3>(clear, response.pure, light);
+  add<3>(sum, response.pure, product(light, world_.medium.transmittance(length)));
+}
+
+/// Light that finds its way to `position` without scattering, along a direction of the guide's.
+void Walker::connect(const Vec3& position, const Vec3& direction, const Rgb& beta, const Rgb& rows,
+                     StokesRgb& sum) {
+  Ray ray{.origin = position, .direction = {}, .inside = true};
+  if (!world_.guide->sample(position, random_, ray.direction)) return;
+  const double phase = henyey_greenstein(dot(direction, ray.direction), world_.medium.g);
+  const double share = phase / (phase + world_.guide->density(position, ray.direction));
+  Response<1> response;
+  unit_response(response, ray.direction);
+  double length = 0.0, weight = 1.0;
+  const End end = follow(ray, response, length, weight, 0.05);
+  if (end == End::kLost) ++faults_.lost;
+  if (end != End::kEscaped) return;
+  Rgb light = world_.light->radiance(ray.origin, ray.direction);
+  light = product(product(light, beta), world_.medium.transmittance(length));
+  for (size_t i = 0; i < 3; ++i)
+    for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i] * share * weight * response.pure[0][0] * light[c];
+}
+
+/// Light that has scattered.
+void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
+  Rgb beta{1.0, 1.0, 1.0};
+  End end = fly(ray, camera, beta);
+  // Where the light comes out it is unpolarised: one number for each of the pixel's Stokes components.
+  const Rgb rows{camera.scattered[0][0], camera.scattered[1][0], camera.scattered[2][0]};
+  while (end == End::kScattered) {
+    beta = product(beta, world_.medium.albedo);
+    const double throughput = largest(beta);
+    if (!(throughput > 0.0)) return;
+    if (throughput < kThin) {
+      const double go_on = throughput / kThin;
+      if (random_.uniform() >= go_on) return;
+      beta = scaled(beta, 1.0 / go_on);
+    }
+    if (world_.guide != nullptr) connect(ray.origin, ray.direction, beta, rows, sum);
+
+    const double cosine = sample_henyey_greenstein(random_.uniform(), world_.medium.g);
+    const Vec3 position = ray.origin;
+    const Vec3 direction = around(ray.direction, cosine, 2.0 * std::numbers::pi * random_.uniform());
+    ray.direction = direction;
+    Response<1> response;
+    unit_response(response, direction);
+    end = fly(ray, response, beta);
+    if (end == End::kEscaped) {
+      double share = 1.0;
+      if (world_.guide != nullptr) {
+        const double phase = henyey_greenstein(cosine, world_.medium.g);
+        share = phase / (phase + world_.guide->density(position, direction));
+      }
+      const Rgb light = product(world_.light->radiance(ray.origin, ray.direction), beta);
+      for (size_t i = 0; i < 3; ++i)
+        for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i] * share * response.pure[0][0] * light[c];
+    }
+    beta = scaled(beta, response.scattered[0][0]);
+  }
+  if (end == End::kLost) ++faults_.lost;
+}
+
+PathSample Walker::run(const CameraRay& camera) {
+  PathSample sample;
+  Hit hit;
+  if (!world_.geometry->intersect(camera.origin, camera.direction, kInfinity, hit)) {
+    sample.background = world_.light->background(camera.direction);
+    return sample;
+  }
+  ++faults_.paths;
+  sample.hit = true;
+  sample.position = hit.position;
+  sample.normal = hit.normal;
+  const double cosine = -dot(camera.direction, hit.normal);
+  if (!(cosine > 0.0)) {
+    ++faults_.lost;
+    return sample;
+  }
+
+  Response<3> rows;
+  for (size_t i = 0; i < 3; ++i) rows.pure[i][i] = rows.scattered[i][i] = 1.0;
+  rows.axis = camera.axis;
+  const Fresnel f = fresnel(cosine, world_.index);
+  const SurfaceEvent event{
+      .direction = camera.direction, .normal = hit.normal, .fresnel = f, .weight = 1.0, .inside = false};
+
+  Response<3> mirrored = rows;
+  mirrored.reflect(event);
+  Ray ray{.origin = {}, .direction = reflect(camera.direction, hit.normal), .inside = false};
+  ray.origin = world_.geometry->leave(hit, ray.direction);
+  Hit next;
+  if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, next)) {
+    const Rgb light = world_.light->radiance(ray.origin, ray.direction);
+    add<3>(sample.mirror, mirrored.pure, light);
+    add<3>(sample.reflected, mirrored.pure, light);
+    add<3>(sample.clear, mirrored.pure, light);
+  } else {
+    add_unscattered(ray, mirrored, sample.reflected, sample.clear);
+    if (!world_.medium.empty()) add_scattered(ray, mirrored, sample.scattered);
+  }
+
+  if (f.reflectance() < 1.0) {
+    Response<3> refracted = rows;
+    refracted.transmit(event);
+    ray = {.origin = {}, .direction = refract(camera.direction, hit.normal, f, world_.index), .inside = true};
+    ray.origin = world_.geometry->leave(hit, ray.direction);
+    add_unscattered(ray, refracted, sample.unscattered, sample.clear);
+    if (!world_.medium.empty()) add_scattered(ray, refracted, sample.scattered);
+  }
+  return sample;
+}
+
+}  // namespace
+
+Vec3 reflect(const Vec3& direction, const Vec3& normal) {
+  return normalised(direction - normal * (2.0 * dot(direction, normal)));
+}
+
+Vec3 refract(const Vec3& direction, const Vec3& normal, const Fresnel& f, double eta) {
+  const double cosine = -dot(direction, normal);
+  return normalised(direction * (1.0 / eta) + normal * (cosine / eta - f.cos_transmit));
+}
+
+PathSample sample_path(const World& world, const CameraRay& ray, Random& random, PathFaults& faults) {
+  return Walker(world, random, faults).run(ray);
+}
+
+}  // namespace opaline::render

@@ -1,0 +1,103 @@
+// One scene of a data set: drawn from a seed, rendered to images and ground truth.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "data/render/path.h"
+#include "data/render/shapes.h"
+
+namespace opaline::render {
+
+/// Half-width of the cube that objects stay in, metres: the unit of depth.
+inline constexpr double kCube = 0.25;
+
+/// A pinhole at (0, 0, 0.7) that looks along -z. Pixels are square; `field` is the horizontal angle.
+struct Camera {
+  int width = 64;
+  int height = 64;
+  Vec3 position{0.0, 0.0, 0.7};
+  double field = 39.3;  ///< degrees
+
+  /// The ray through the point (x, y) of the image, in pixels from the top left corner.
+  CameraRay ray(double x, double y) const;
+  /// Width of a pixel at depth z.
+  double pixel_size(double z) const;
+};
+
+struct Range {
+  double low = 0;
+  double high = 0;
+};
+
+/// Ranges that scenes are drawn from, uniformly; the environment's share log-uniformly.
+struct SceneRanges {
+  std::vector<Family> families = {Family::kHarmonics, Family::kSuperquadric, Family::kBlend,
+                                  Family::kTwisted};
+  Range radius{0.11, 0.19};  ///< of the ball around the object, metres
+  double offset = 0.05;      ///< of its centre from the cube's, along each axis at most, metres
+  double bump = 0.35;        ///< largest slope of bumps
+  Range sigma_t{0.0, 32.0};  ///< per metre and colour
+  Range albedo{0.3, 0.95};   ///< per colour
+  Range g{0.0, 0.9};
+  Range flash{35.0, 75.0};       ///< radiance
+  Range environment{0.05, 0.5};  ///< irradiance at the cube's centre facing the camera / the flash's there
+};
+
+/// Everything that a scene consists of. Movable; `world()` points into it.
+struct SceneModel {
+  std::string object;  ///< name of what was drawn
+  std::string environment;
+  Illumination light;
+  Medium medium;
+  std::unique_ptr<Geometry> geometry;
+  Vec3 low, high;  ///< corners of the box around the object
+
+  World world() const {
+    return {.geometry = geometry.get(), .light = &light, .medium = medium, .index = kRefractiveIndex};
+  }
+};
+
+/// A scene is a function of (seed, number) alone. Training and test scenes have different numbers, hence
+/// other objects and environments. Facets are at most half a pixel of `camera` wide.
+SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t seed, uint32_t number,
+                      uint32_t attempt = 0);
+
+/// Images, channels last, row by row from the top.
+struct SceneRender {
+  int width = 0;
+  int height = 0;
+  std::vector<float> image;     ///< H x W x 9: S0.R S0.G S0.B S1.R .. S2.B, linear
+  std::vector<float> bsdf;      ///< H x W x 9 without the medium
+  std::vector<float> normal;    ///< H x W x 3; zero off the object
+  std::vector<float> depth;     ///< H x W, z / kCube; zero off the object
+  std::vector<float> coverage;  ///< H x W: share of the samples that meet the object
+  PathFaults faults;
+};
+
+/// Which images are called "pure BSDF": the dielectric without its medium, or its first reflection alone.
+enum class BsdfReading { kClear, kReflection };
+inline constexpr std::array<std::string_view, 2> kBsdfReadingNames = {"clear", "reflection"};
+
+struct RenderOptions {
+  int64_t spp = 32;  ///< samples a pixel, rounded up to a square: they are stratified
+  BsdfReading bsdf = BsdfReading::kClear;
+  GuideOptions guide{};
+  uint64_t seed = 0;
+  uint32_t number = 0;
+};
+
+/// Renders the scene with all threads, or with the calling thread inside a parallel region. Bitwise the same
+/// for any number of them: each pixel has its own stream.
+SceneRender render_scene(const SceneModel& scene, const Camera& camera, const RenderOptions& options);
+
+/// Whether the object covers at least one whole pixel and none at the image's border.
+bool well_framed(const std::vector<float>& coverage, int width, int height);
+/// The same, from one ray through the middle of each pixel: quick, before a scene is rendered.
+bool likely_well_framed(const SceneModel& scene, const Camera& camera);
+
+}  // namespace opaline::render
