@@ -41,7 +41,7 @@ class Guide {
   double density(const Vec3& position, const Vec3& direction) const;
 
  private:
-  static constexpr size_t kDirections = 8;
+  static constexpr size_t kDirections = 16;
   struct Cell {
     bool known = false;
     std::array<Vec3, kDirections> directions{};

@@ -15,14 +15,21 @@ struct Ray {
   bool inside = false;
 };
 
+struct Crossing {
+  Fresnel fresnel;
+  double eta;  // index behind / index before
+};
+
 enum class End { kEscaped, kScattered, kLost, kStopped };
 
 /// After so many surface events a path goes on with this probability only: a ray may be caught between
 /// totally reflecting faces.
 constexpr int kSureEvents = 12;
 constexpr double kGoOn = 0.8;
+/// Share of the pixel's light that an unscattered branch has to carry to be followed for sure.
+constexpr double kSplit = 0.004;
 /// Paths of less throughput than this are thinned out.
-constexpr double kThin = 0.15;
+constexpr double kThin = 0.2;
 
 double largest(const Rgb& c) {
   return std::max({c[0], c[1], c[2]});
@@ -58,6 +65,10 @@ class Walker {
   PathSample run(const CameraRay& camera);
 
  private:
+  Crossing meet(const Hit& hit, const Ray& ray) const;
+  template <int R>
+  void branch(const Hit& hit, const Crossing& crossing, bool reflects, double probability, Ray& ray,
+              Response<R>& response) const;
   template <int R>
   void cross(const Hit& hit, Ray& ray, Response<R>& response);
   bool consistent(const Hit& hit, const Ray& ray) const {
@@ -67,7 +78,8 @@ class Walker {
   End fly(Ray& ray, Response<R>& response, Rgb& beta);
   template <int R>
   End follow(Ray& ray, Response<R>& response, double& length, double& weight, double dark);
-  void add_unscattered(const Ray& start, const Response<3>& response, StokesRgb& sum, StokesRgb& clear);
+  void add_unscattered(Ray ray, Response<3> response, double length, double carried, StokesRgb& sum,
+                       StokesRgb& clear);
   void add_scattered(Ray ray, Response<3> response, StokesRgb& sum);
   void connect(const Vec3& position, const Vec3& direction, const Rgb& beta, const Rgb& rows, StokesRgb& sum);
 
@@ -76,28 +88,40 @@ class Walker {
   PathFaults& faults_;
 };
 
-/// Reflects or refracts the ray, with the probability of unpolarised light.
-template <int R>
-void Walker::cross(const Hit& hit, Ray& ray, Response<R>& response) {
-  const double cosine = dot(ray.direction, hit.normal);
+/// What the interface at `hit` does to the ray.
+Crossing Walker::meet(const Hit& hit, const Ray& ray) const {
   const double eta = ray.inside ? 1.0 / world_.index : world_.index;
-  const Fresnel f = fresnel(std::abs(cosine), eta);
-  const double reflectance = f.reflectance();
-  const bool reflects = f.total || random_.uniform() < reflectance;
+  return {fresnel(std::abs(dot(ray.direction, hit.normal)), eta), eta};
+}
+
+/// Sends the ray along one of the two branches, chosen with this probability.
+template <int R>
+void Walker::branch(const Hit& hit, const Crossing& crossing, bool reflects, double probability, Ray& ray,
+                    Response<R>& response) const {
   const SurfaceEvent event{.direction = ray.direction,
                            .normal = hit.normal,
-                           .fresnel = f,
-                           .weight = 1.0 / (reflects ? reflectance : 1.0 - reflectance),
+                           .fresnel = crossing.fresnel,
+                           .weight = 1.0 / probability,
                            .inside = ray.inside};
   if (reflects) {
     response.reflect(event);
     ray.direction = reflect(ray.direction, hit.normal);
   } else {
     response.transmit(event);
-    ray.direction = refract(ray.direction, cosine < 0.0 ? hit.normal : -hit.normal, f, eta);
+    const Vec3 facing = dot(ray.direction, hit.normal) < 0.0 ? hit.normal : -hit.normal;
+    ray.direction = refract(ray.direction, facing, crossing.fresnel, crossing.eta);
     ray.inside = !ray.inside;
   }
   ray.origin = world_.geometry->leave(hit, ray.direction);
+}
+
+/// Reflects or refracts the ray, with the probability of unpolarised light.
+template <int R>
+void Walker::cross(const Hit& hit, Ray& ray, Response<R>& response) {
+  const Crossing crossing = meet(hit, ray);
+  const double reflectance = crossing.fresnel.reflectance();
+  const bool reflects = crossing.fresnel.total || random_.uniform() < reflectance;
+  branch(hit, crossing, reflects, reflects ? reflectance : 1.0 - reflectance, ray, response);
 }
 
 /// Moves the ray, which the medium may scatter, until it is scattered or leaves the scene.
@@ -149,14 +173,43 @@ End Walker::follow(Ray& ray, Response<R>& response, double& length, double& weig
   }
 }
 
-/// The clear dielectric's light, with and without extinction.
-void Walker::add_unscattered(const Ray& start, const Response<3>& before, StokesRgb& sum, StokesRgb& clear) {
-  Ray ray = start;
-  Response<3> response = before;
-  double length = 0.0, weight = 1.0;
-  const End end = follow(ray, response, length, weight, 0.0);
-  if (end == End::kLost) ++faults_.lost;
-  if (end != End::kEscaped) return;
+/// The clear dielectric's light, with and without extinction. Both branches of a surface event are followed
+/// while each carries at least kSplit of the pixel: left to chance, the faint reflections of the flash on the
+/// far side would be the noisiest part of the image.
+void Walker::add_unscattered(Ray ray, Response<3> response, double length, double carried, StokesRgb& sum,
+                             StokesRgb& clear) {
+  double weight = 1.0;
+  for (int events = 0;; ++events) {
+    Hit hit;
+    if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
+      if (ray.inside) {
+        ++faults_.lost;
+        return;
+      }
+      break;
+    }
+    if (!consistent(hit, ray)) {
+      ++faults_.lost;
+      return;
+    }
+    if (ray.inside) length += hit.distance;
+    if (events >= kSureEvents) {
+      if (random_.uniform() >= kGoOn) return;
+      weight /= kGoOn;
+    }
+    const Crossing crossing = meet(hit, ray);
+    const double reflectance = crossing.fresnel.reflectance();
+    if (weight > 1.0 || carried * std::min(reflectance, 1.0 - reflectance) < kSplit) {
+      cross(hit, ray, response);
+      continue;
+    }
+    Ray other = ray;
+    Response<3> other_response = response;
+    branch(hit, crossing, true, 1.0, other, other_response);
+    add_unscattered(other, other_response, length, carried * reflectance, sum, clear);
+    branch(hit, crossing, false, 1.0, ray, response);
+    carried *= 1.0 - reflectance;
+  }
   const Rgb light = scaled(world_.light->radiance(ray.origin, ray.direction), weight);
   add<3>(clear, response.pure, light);
   add<3>(sum, response.pure, product(light, world_.medium.transmittance(length)));
@@ -255,7 +308,7 @@ PathSample Walker::run(const CameraRay& camera) {
     add<3>(sample.reflected, mirrored.pure, light);
     add<3>(sample.clear, mirrored.pure, light);
   } else {
-    add_unscattered(ray, mirrored, sample.reflected, sample.clear);
+    add_unscattered(ray, mirrored, 0.0, f.reflectance(), sample.reflected, sample.clear);
     if (!world_.medium.empty()) add_scattered(ray, mirrored, sample.scattered);
   }
 
@@ -264,7 +317,7 @@ PathSample Walker::run(const CameraRay& camera) {
     refracted.transmit(event);
     ray = {.origin = {}, .direction = refract(camera.direction, hit.normal, f, world_.index), .inside = true};
     ray.origin = world_.geometry->leave(hit, ray.direction);
-    add_unscattered(ray, refracted, sample.unscattered, sample.clear);
+    add_unscattered(ray, refracted, 0.0, 1.0 - f.reflectance(), sample.unscattered, sample.clear);
     if (!world_.medium.empty()) add_scattered(ray, refracted, sample.scattered);
   }
   return sample;

@@ -38,9 +38,9 @@ struct Range {
 struct SceneRanges {
   std::vector<Family> families = {Family::kHarmonics, Family::kSuperquadric, Family::kBlend,
                                   Family::kTwisted};
-  Range radius{0.11, 0.19};  ///< of the ball around the object, metres
-  double offset = 0.05;      ///< of its centre from the cube's, along each axis at most, metres
-  double bump = 0.35;        ///< largest slope of bumps
+  Range radius{0.14, 0.21};  ///< of the ball around the object, metres
+  double offset = 0.03;      ///< of its centre from the cube's, along each axis at most, metres
+  double bump = 0.25;        ///< largest slope of bumps
   Range sigma_t{0.0, 32.0};  ///< per metre and colour
   Range albedo{0.3, 0.95};   ///< per colour
   Range g{0.0, 0.9};
