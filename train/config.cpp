@@ -142,15 +142,17 @@ RunConfig read_config(TomlConfig config) {
   run.stages[0] = read_stage(root.table("stage1"));
   run.stages[1] = read_stage(root.table("stage2"));
   run.loss = read_loss(root.table("loss"));
+  root.take_unread("render");
   config.finish();
   run.text = config.resolved();
   return run;
 }
 
-/// Resolved TOML as "table.key" -> value; it has one key a line.
+/// Resolved TOML as "table.key" -> value. It has one key a line; only long arrays go on in indented lines.
 std::map<std::string, std::string> flat_keys(std::string_view text) {
   std::map<std::string, std::string> keys;
   std::string table;
+  std::string* last = nullptr;
   while (!text.empty()) {
     const size_t end = std::min(text.find('\n'), text.size());
     const std::string_view line = text.substr(0, end);
@@ -160,8 +162,13 @@ std::map<std::string, std::string> flat_keys(std::string_view text) {
       continue;
     }
     const size_t equals = line.find(" = ");
-    if (equals == std::string_view::npos || line.starts_with('#')) continue;
-    keys[table + std::string(line.substr(0, equals))] = line.substr(equals + 3);
+    const bool goes_on = last != nullptr && (line.starts_with(' ') || line.starts_with(']'));
+    if (goes_on) {
+      last->append(line.substr(std::min(line.find_first_not_of(' '), line.size())));
+    } else if (equals != std::string_view::npos) {
+      last = &keys[table + std::string(line.substr(0, equals))];
+      *last = line.substr(equals + 3);
+    }
   }
   return keys;
 }

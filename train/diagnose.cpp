@@ -1,6 +1,12 @@
 #include "train/diagnose.h"
 
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <algorithm>
+#include <cmath>
 #include <map>
+#include <utility>
 
 #include "core/autograd.h"
 #include "nn/state.h"
@@ -34,6 +40,30 @@ std::string first_non_finite(const Tensor& root, const std::vector<NamedTensor>&
     }
     if (layer.empty() && !last_parameter.empty()) layer = " after " + last_parameter;
     return std::string(node->operation) + layer + ", result " + to_string(tensor.shape());
+  }
+  return {};
+}
+
+std::string first_non_finite(const Batch& batch) {
+  const std::pair<const char*, const Tensor*> tensors[] = {{"input", &batch.input},
+                                                           {"normal", &batch.normal},
+                                                           {"depth", &batch.depth},
+                                                           {"illumination", &batch.illumination},
+                                                           {"sss", &batch.sss},
+                                                           {"bsdf", &batch.bsdf},
+                                                           {"polarised", &batch.polarised}};
+  for (const auto& [name, tensor] : tensors) {
+    if (finite(*tensor)) continue;
+    const std::span<const float> values = tensor->values<float>();
+    const size_t each = values.size() / static_cast<size_t>(batch.size());
+    std::vector<std::string> scenes;
+    for (size_t n = 0; n < batch.ids.size(); ++n) {
+      const auto image = values.subspan(n * each, each);
+      if (!std::all_of(image.begin(), image.end(), [](float v) { return std::isfinite(v); })) {
+        scenes.push_back(batch.ids[n]);
+      }
+    }
+    return fmt::format("the {} of {}", name, fmt::join(scenes, ", "));
   }
   return {};
 }

@@ -47,7 +47,9 @@ struct MinMax {
     }
   }
   double operator()(float value) const {
-    return high > low ? (static_cast<double>(value) - low) / (high - low) : 0.0;
+    const double above =
+        static_cast<double>(value) - low;  // 0 in a constant map; NaN, which min and max skip, stays
+    return high > low ? above / (high - low) : above;
   }
 };
 

@@ -89,6 +89,14 @@ ValueRange range_inside(const MaskedMap& map) {
   return range;
 }
 
+void write_picture(const std::filesystem::path& path, const Picture& picture) {
+  write_png(path, picture.width, picture.height, 3, picture.rgb);
+}
+
+std::string data_uri(const Picture& picture) {
+  return "data:image/png;base64," + base64(encode_png(picture.width, picture.height, 3, picture.rgb));
+}
+
 std::string base64(std::span<const std::byte> bytes) {
   constexpr std::string_view kAlphabet = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
   std::string text;

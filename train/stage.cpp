@@ -88,8 +88,10 @@ std::optional<StepFailure> Stage::run_micro_batch(const Batch& batch, double sha
   const Losses losses = compute_losses(loss_, out, loss_targets(batch));
   const double total = losses.total.item();
   if (!std::isfinite(total)) {
+    std::string culprit = first_non_finite(batch);
+    if (culprit.empty()) culprit = first_non_finite(losses.total, cascade_.named_parameters());
     return StepFailure{.what = fmt::format("the loss is {}", total),
-                       .layer = first_non_finite(losses.total, cascade_.named_parameters()),
+                       .layer = std::move(culprit),
                        .scenes = batch.ids,
                        .batch = batch};
   }

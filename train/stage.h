@@ -20,7 +20,7 @@ namespace opaline {
 /// Where a step went wrong.
 struct StepFailure {
   std::string what;   ///< "the loss is nan", "the gradient of .. is not finite"
-  std::string layer;  ///< first layer or parameter that is not finite
+  std::string layer;  ///< first layer, parameter or tensor of the batch that is not finite
   std::vector<std::string> scenes;
   Batch batch;  ///< the micro-batch at fault; of a gradient: the last one
 };

@@ -169,6 +169,11 @@ TrainResult Trainer::run() {
     open_stage(&first->cascade());
     complete = run_stage();
   }
+  // A signal in the very last step has nothing left to interrupt.
+  if (state_.stage == 2 && state_.epoch >= stage_config().epochs) {
+    complete = true;
+    signal_ = 0;
+  }
   progress_.finish();
   if (complete) log_->append({{"event", "end"}, {"step", state_.step}});
   append_event(

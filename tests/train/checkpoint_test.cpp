@@ -101,20 +101,13 @@ TEST_CASE("every bit of a checkpoint's state is guarded") {
   const fs::path path =
       save_checkpoint(folder.path(), state_at(5), cascade, Adam(cascade.named_parameters()));
   const std::string whole = read_text(path / "state.json");
-  int64_t found = 0;
-  for (size_t at = 0; at < whole.size(); at += 7) {
+  for (size_t at = 0; at < whole.size(); at += 3) {
     std::string text = whole;
     text[at] = static_cast<char>(text[at] ^ 1);
     write_file_atomically(path / "state.json", std::string_view(text));
-    try {
-      load_checkpoint(path, {.networks = {"depth"}, .optimizer = false});
-      // White space may change: it carries nothing.
-      CHECK(std::isspace(static_cast<unsigned char>(whole[at])));
-    } catch (const Error&) {
-      ++found;
-    }
+    INFO("byte " << at << " of\n" << text);
+    CHECK_THROWS_AS(load_checkpoint(path, {.networks = {"depth"}, .optimizer = false}), Error);
   }
-  CHECK(found > 20);
 }
 
 TEST_CASE("the last k are kept, half-written ones are removed") {
