@@ -8,10 +8,11 @@ namespace opaline::render {
 Fresnel fresnel(double cos_incidence, double eta) {
   // At exactly grazing incidence between equal indices the quotients below would be 0 / 0.
   const double ci = std::clamp(cos_incidence, 1e-12, 1.0);
-  const double sin2_transmit = (1.0 - ci * ci) / (eta * eta);
+  // Squared cosine of the refracted ray, from Snell's law, in a form that keeps its sign near grazing incidence.
+  const double transmit2 = ((eta * eta - 1.0) + ci * ci) / (eta * eta);
   Fresnel f;
-  if (sin2_transmit < 1.0) {
-    const double ct = std::sqrt(1.0 - sin2_transmit);
+  if (transmit2 > 0.0) {
+    const double ct = std::sqrt(transmit2);
     const double rs = (ci - eta * ct) / (ci + eta * ct);
     const double rp = (eta * ci - ct) / (eta * ci + ct);
     f.reflect_s = rs * rs;
@@ -22,7 +23,7 @@ Fresnel fresnel(double cos_incidence, double eta) {
   }
   // Total reflection: the refracted cosine is i kappa, both coefficients have modulus 1, and
   // r_s conj(r_p) = w^2 / |w|^2 with w = (ci - i eta kappa) (eta ci + i kappa).
-  const double kappa = std::sqrt(sin2_transmit - 1.0);
+  const double kappa = std::sqrt(-transmit2);
   const double re = eta * (ci * ci + kappa * kappa);
   const double im = kappa * ci * (1.0 - eta * eta);
   const double modulus2 = re * re + im * im;

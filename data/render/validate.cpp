@@ -136,9 +136,21 @@ FurnaceResult validate_furnace(const SceneRanges& ranges, const FurnaceOptions& 
                     Random(options.seed, Purpose::kValidate, UINT32_MAX, options.number));
   world.guide = &guide;
 
+  // f(sample, cosine) for rays that meet the object.
+  const auto shoot = [&camera](const World& w, Random& random, int64_t paths, PathFaults& faults,
+                               const auto& f) {
+    for (int64_t done = 0; done < paths;) {
+      CameraRay ray = camera.ray(camera.width * random.uniform(), camera.height * random.uniform());
+      Hit hit;
+      if (!w.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) continue;
+      ++done;
+      ray.axis = surface_axis(hit.normal, ray.direction);
+      f(sample_path(w, ray, random, faults), std::clamp(-dot(ray.direction, hit.normal), 0.0, 0.999));
+    }
+  };
   struct Sums {
-    Moments<3> all;
-    std::array<Moments<3>, 4> bins;
+    Moments<1> all;
+    std::array<Moments<1>, 4> bins;
     PathFaults faults;
     void join(const Sums& other) {
       all.join(other.all);
@@ -147,29 +159,30 @@ FurnaceResult validate_furnace(const SceneRanges& ranges, const FurnaceOptions& 
       faults.paths += other.faults.paths;
     }
   };
-  const Sums sums =
+  const auto full =
       run_blocks<Sums>(options.paths, options.seed, [&](Random& random, Sums& part, int64_t paths) {
-        for (int64_t done = 0; done < paths;) {
-          CameraRay ray = camera.ray(camera.width * random.uniform(), camera.height * random.uniform());
-          Hit hit;
-          if (!world.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) continue;
-          ++done;
-          ray.axis = surface_axis(hit.normal, ray.direction);
-          const PathSample s = sample_path(world, ray, random, part.faults);
-          std::array<double, 3> stokes{};
+        shoot(world, random, paths, part.faults, [&part](const PathSample& s, double cosine) {
           // One colour: the three share their paths.
-          for (size_t i = 0; i < 3; ++i)
-            stokes[i] = s.reflected[i][1] + s.unscattered[i][1] + s.scattered[i][1];
-          part.all.add(stokes);
-          const double cosine = std::clamp(-dot(ray.direction, hit.normal), 0.0, 0.999);
-          part.bins[static_cast<size_t>(4.0 * cosine)].add(stokes);
-        }
+          const double s0 = s.reflected[0][1] + s.unscattered[0][1] + s.scattered[0][1];
+          part.all.add({s0});
+          part.bins[static_cast<size_t>(4.0 * cosine)].add({s0});
+        });
       });
-  FurnaceResult result{.object = scene.object, .all = {}, .by_cosine = {}, .faults = sums.faults};
-  for (size_t i = 0; i < 3; ++i) {
-    result.all[i] = sums.all.estimate(i);
-    for (size_t b = 0; b < 4; ++b) result.by_cosine[b][i] = sums.bins[b].estimate(i);
-  }
+  World empty = world;
+  empty.medium = {};
+  const auto clear = run_blocks<Moments<3>>(
+      6 * options.paths, options.seed, [&](Random& random, Moments<3>& part, int64_t paths) {
+        PathFaults ignored;
+        shoot(empty, random, paths, ignored, [&part](const PathSample& s, double) {
+          part.add({s.clear[0][1], s.clear[1][1], s.clear[2][1]});
+        });
+      });
+  FurnaceResult result{.object = scene.object,
+                       .s0 = full.all.estimate(0),
+                       .clear = {clear.estimate(0), clear.estimate(1), clear.estimate(2)},
+                       .by_cosine = {},
+                       .faults = full.faults};
+  for (size_t b = 0; b < 4; ++b) result.by_cosine[b] = full.bins[b].estimate(0);
   return result;
 }
 

@@ -39,19 +39,24 @@ struct SlabResult {
 SlabResult validate_slab(const SlabOptions& options);
 
 struct FurnaceOptions {
-  int64_t paths = 400'000;  ///< of each scene, over rays that meet the object
+  int64_t paths =
+      400'000;  ///< of each scene, over rays that meet the object; six times as many without the medium
   uint64_t seed = 1;
   uint32_t number = 0;  ///< of the scene
 };
 
-/// S0, S1 and S2 of the light from the object where the environment and the flash have radiance 1 and nothing
-/// is absorbed: 1, 0, 0 for any shape and medium. S1 and S2 are in the frame of each surface point, along and
-/// across its plane of incidence, where errors cannot cancel between sides of the object.
+/// The light from the object where the environment and the flash have radiance 1 and nothing is absorbed. S0
+/// is 1 for any shape and medium. Without the medium S1 and S2 are 0; they are in the frame of each surface
+/// point, along and across its plane of incidence, where errors cannot cancel between sides of the object.
+/// With a medium that light crosses unscattered S1 and S2 are not exactly 0: where such light enters on the
+/// far side it is polarised by refraction, and the scattered light that is reflected there, which would
+/// complement it, has lost its polarisation by the definition of M_d.
 struct FurnaceResult {
   std::string object;
-  std::array<Estimate, 3> all;
-  /// The same by the cosine between surface and ray: [0, 1/4), [1/4, 1/2), ..
-  std::array<std::array<Estimate, 3>, 4> by_cosine;
+  Estimate s0;                    ///< of the full image
+  std::array<Estimate, 3> clear;  ///< S0, S1, S2 without the medium
+  /// S0 of the full image by the cosine between surface and ray: [0, 1/4), [1/4, 1/2), ..
+  std::array<Estimate, 4> by_cosine;
   PathFaults faults;
 };
 FurnaceResult validate_furnace(const SceneRanges& ranges, const FurnaceOptions& options);
