@@ -14,6 +14,18 @@ int num_threads();
 /// Sets it; 0 means all cores.
 void set_num_threads(int threads);
 
+/// Sets it for as long as it lives: for work so small that a team of threads costs more than it saves.
+class ThreadsGuard {
+ public:
+  explicit ThreadsGuard(int threads) : before_(num_threads()) { set_num_threads(threads); }
+  ~ThreadsGuard() { set_num_threads(before_); }
+  ThreadsGuard(const ThreadsGuard&) = delete;
+  ThreadsGuard& operator=(const ThreadsGuard&) = delete;
+
+ private:
+  int before_;
+};
+
 /// Calls f(i) for i in [0, n), each once, on any thread, in any order. Units are handed out dynamically.
 /// The first exception thrown by a unit is rethrown here after all units have ended.
 template <class F>

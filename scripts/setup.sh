@@ -11,7 +11,8 @@ packages=(
   libfmt-dev libspdlog-dev libxxhash-dev libembree-dev libhwy-dev libbenchmark-dev catch2
 )
 if [[ "${1:-}" == "--peers" ]]; then
-  packages+=(python3-torch python3-numpy)
+  # OpenBLAS: with the reference BLAS that PyTorch would pull in, the comparison takes three times as long.
+  packages+=(python3-torch python3-numpy libopenblas0-pthread)
 elif [[ $# -gt 0 ]]; then
   echo "usage: scripts/setup.sh [--peers]" >&2
   exit 2

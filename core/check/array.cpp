@@ -10,13 +10,18 @@ Array::Array(const Tensor& tensor) : Array(tensor.shape()) {
   for (int64_t i = 0; i < tensor.numel(); ++i) (*this)[i] = tensor.at(i);
 }
 
-double relative_error(const Array& actual, const Array& expected) {
-  constexpr double kInfinity = std::numeric_limits<double>::infinity();
-  if (actual.shape != expected.shape) return kInfinity;
+double largest_magnitude(const Array& array) {
   double largest = 0.0;
-  for (const double value : expected.values) {
+  for (const double value : array.values) {
     if (std::isfinite(value)) largest = std::max(largest, std::abs(value));
   }
+  return largest;
+}
+
+double relative_error(const Array& actual, const Array& expected, double floor) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  if (actual.shape != expected.shape) return kInfinity;
+  const double largest = std::max(largest_magnitude(expected), floor);
   const double scale = largest > 0.0 ? largest : 1.0;
   double worst = 0.0;
   for (int64_t i = 0; i < expected.count(); ++i) {

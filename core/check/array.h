@@ -43,9 +43,13 @@ struct Array {
   }
 };
 
-/// Largest |actual - expected| over the largest finite |expected| (over 1 where that is 0). Where a value is
+/// Largest |finite value|; 0 where there is none.
+double largest_magnitude(const Array& array);
+
+/// Largest |actual - expected| over the largest finite |expected|, or over `floor` where that is more (over 1
+/// where both are 0). Where a value is
 /// expected that is not finite, only that value has no error. Infinite where the error is not a number or
 /// shapes differ.
-double relative_error(const Array& actual, const Array& expected);
+double relative_error(const Array& actual, const Array& expected, double floor = 0.0);
 
 }  // namespace opaline::check

@@ -89,6 +89,15 @@ const std::vector<OpCase>& op_cases() {
   return cases;
 }
 
+std::vector<OpCase> large_op_cases(int64_t side) {
+  std::vector<OpCase> all;
+  for (const auto family : {large_conv_cases, large_linear_cases, large_norm_cases, large_pointwise_cases,
+                            large_spatial_cases, large_shape_cases, large_loss_cases}) {
+    for (OpCase& op_case : family(side)) all.push_back(std::move(op_case));
+  }
+  return all;
+}
+
 std::vector<Tensor> make_inputs(const OpCase& op_case, DType dtype) {
   std::vector<Tensor> inputs;
   for (const InputSpec& spec : op_case.inputs) {

@@ -78,8 +78,8 @@ struct OpCase {
 
 /// All cases in a fixed order.
 const std::vector<OpCase>& op_cases();
-/// Cases with the sizes of real layers, for the benchmark.
-std::vector<OpCase> large_op_cases();
+/// Cases with the layers' real channel counts on images of side x side, for the benchmark.
+std::vector<OpCase> large_op_cases(int64_t side = 256);
 
 /// The case's inputs. Values are representable in float32, so all types see the same numbers; they depend on
 /// the case's name alone. Differentiable inputs require a gradient.
@@ -90,17 +90,25 @@ Tensor make_cotangent(const OpCase& op_case, const Shape& shape, DType dtype);
 /// Writes inputs, cotangents and options of all cases: what scripts/golden/ops.py reads.
 void write_case_inputs(const std::filesystem::path& path);
 
-// One function a family.
-std::vector<OpCase> activation_cases();
-std::vector<OpCase> arithmetic_cases();
+// One function a family; those of one cases_*.cpp file stand together.
 std::vector<OpCase> conv_cases();
 std::vector<OpCase> linear_cases();
-std::vector<OpCase> loss_cases();
 std::vector<OpCase> norm_cases();
-std::vector<OpCase> pool_cases();
-std::vector<OpCase> reduce_cases();
-std::vector<OpCase> resize_cases();
-std::vector<OpCase> shape_cases();
+std::vector<OpCase> activation_cases();
 std::vector<OpCase> unary_cases();
+std::vector<OpCase> arithmetic_cases();
+std::vector<OpCase> pool_cases();
+std::vector<OpCase> resize_cases();
+std::vector<OpCase> reduce_cases();
+std::vector<OpCase> shape_cases();
+std::vector<OpCase> loss_cases();
+
+std::vector<OpCase> large_conv_cases(int64_t side);
+std::vector<OpCase> large_linear_cases(int64_t side);
+std::vector<OpCase> large_norm_cases(int64_t side);
+std::vector<OpCase> large_pointwise_cases(int64_t side);
+std::vector<OpCase> large_spatial_cases(int64_t side);
+std::vector<OpCase> large_shape_cases(int64_t side);
+std::vector<OpCase> large_loss_cases(int64_t side);
 
 }  // namespace opaline::check

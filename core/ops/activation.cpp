@@ -11,7 +11,7 @@ namespace opaline {
 Tensor relu(const Tensor& x) {
   return pointwise(
       "relu", x, Saved::kOutput, []<class T>(T v) { return v < T{} ? T{} : v; },  // NaN passes
-      []<class T>(T dy, T y) { return y > T{} ? dy : T{}; });
+      []<class T>(T dy, T y) { return y <= T{} ? T{} : dy; });                    // as PyTorch where y is NaN
 }
 
 Tensor leaky_relu(const Tensor& x, double slope) {

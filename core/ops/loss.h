@@ -19,7 +19,8 @@ Tensor l1_loss(const Tensor& x, const Tensor& target);
 Tensor mse_loss(const Tensor& x, const Tensor& target);
 
 /// Per image the mean over mask of 1 - cos(x, target) over the channels, then the mean over the batch; an
-/// empty mask gives 0. The cosine's denominator is max(|x| |target|, 1e-8), as PyTorch's.
+/// empty mask gives 0. The cosine's denominator is max(|x| |target|, 1e-8), as PyTorch documents it
+/// (for targets of unit length it is what PyTorch computes; some versions clamp both lengths apart).
 Tensor cosine_loss(const Tensor& x, const Tensor& target, const Tensor& mask);
 
 }  // namespace opaline

@@ -11,17 +11,22 @@ _NAMES = {dtype: name for name, dtype in _TYPES.items()}
 
 def load(path):
     """The file's tensors as a dict from name to array."""
+    return load_with_metadata(path)[0]
+
+
+def load_with_metadata(path):
+    """The file's tensors, and its metadata as a dict from name to text."""
     with open(path, "rb") as file:
         (length,) = struct.unpack("<Q", file.read(8))
         header = json.loads(file.read(length))
         data = file.read()
-    header.pop("__metadata__", None)
+    metadata = header.pop("__metadata__", {})
     tensors = {}
     for name, entry in header.items():
         begin, end = entry["data_offsets"]
         array = np.frombuffer(data[begin:end], dtype=_TYPES[entry["dtype"]])
         tensors[name] = array.reshape(entry["shape"])
-    return tensors
+    return tensors, metadata
 
 
 def save(path, tensors, metadata=None):

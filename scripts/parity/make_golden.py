@@ -2,7 +2,7 @@
 """Writes tests/models/golden/<network>.safetensors, what PyTorch gives for small networks in float64, and
 tests/nn/golden/adam_steps.safetensors, ten steps of its Adam.
 
-Weights, inputs and cotangents come from an integer hash (pattern below, also in tests/pattern.h), so
+Weights, inputs and cotangents come from an integer hash (pattern below, also in nn/pattern.h), so
 the files hold results only: for every tensor its norm and three projections on hashed vectors, and a sample
 of y.
 Takes a few seconds:  scripts/parity/make_golden.py

@@ -9,7 +9,7 @@
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
 #include "core/ops/unary.h"
-#include "tests/pattern.h"
+#include "nn/pattern.h"
 
 namespace opaline {
 namespace {

@@ -10,7 +10,7 @@
 #include "core/ops/shape.h"
 #include "core/safetensors.h"
 #include "models/network.h"
-#include "tests/pattern.h"
+#include "nn/pattern.h"
 
 namespace opaline {
 namespace {

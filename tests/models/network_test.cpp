@@ -9,7 +9,7 @@
 #include "core/autograd.h"
 #include "core/parallel.h"
 #include "models/network.h"
-#include "tests/pattern.h"
+#include "nn/pattern.h"
 
 namespace opaline {
 namespace {

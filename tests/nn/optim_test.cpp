@@ -10,8 +10,8 @@
 
 #include "core/parallel.h"
 #include "core/random.h"
+#include "nn/pattern.h"
 #include "nn/schedule.h"
-#include "tests/pattern.h"
 
 namespace opaline {
 namespace {

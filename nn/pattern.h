@@ -1,4 +1,5 @@
-// Numbers that C++ and scripts/parity/make_golden.py make alike: from an integer hash of a tag and the index.
+// Numbers for checks that C++ and scripts/parity/make_golden.py make alike: from an integer hash of a tag and
+// the index.
 #pragma once
 
 #include <cstdint>

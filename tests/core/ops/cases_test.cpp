@@ -1,0 +1,95 @@
+// Every case of the registry: against its reference, difference quotients, PyTorch's golden values, and
+// itself on another number of threads.
+#include <algorithm>
+#include <catch2/catch.hpp>
+#include <cstring>
+#include <string>
+
+#include "core/check/op_case.h"
+#include "core/check/run.h"
+#include "core/parallel.h"
+#include "core/safetensors.h"
+
+namespace opaline::check {
+namespace {
+
+bool same_bits(const Tensor& a, const Tensor& b) {
+  if (a.defined() != b.defined()) return false;
+  if (!a.defined()) return true;
+  return a.shape() == b.shape() && a.dtype() == b.dtype() &&
+         std::memcmp(a.bytes(), b.bytes(), static_cast<size_t>(a.byte_size())) == 0;
+}
+
+bool same_bits(const std::vector<Tensor>& a, const std::vector<Tensor>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](const Tensor& p, const Tensor& q) { return same_bits(p, q); });
+}
+
+void check_same_bits(const OpCase& op_case, DType dtype) {
+  const auto run_on = [&](int threads) {
+    const ThreadsGuard guard(threads);
+    return run_case(op_case, dtype);
+  };
+  const CaseRun one = run_on(1), three = run_on(3);
+  INFO(op_case.name << " " << to_string(dtype));
+  CHECK(same_bits(one.y, three.y));
+  CHECK(same_bits(one.gradients, three.gradients));
+  CHECK(same_bits(one.updated, three.updated));
+}
+
+TEST_CASE("operations agree with their references") {
+  const ThreadsGuard one_thread(1);
+  for (const OpCase& op_case : op_cases()) {
+    INFO(op_case.name);
+    const CaseRun wide = run_case(op_case, DType::kFloat64);
+    CHECK(reference_error(op_case, wide) <= op_case.tolerances.float64);
+    const CaseRun narrow = run_case(op_case, DType::kFloat32);
+    CHECK(reference_error(op_case, narrow) <= op_case.tolerances.float32);
+    CHECK(gradient_difference(narrow, wide) <= op_case.tolerances.float32_gradient);
+  }
+}
+
+TEST_CASE("gradients of operations are those of difference quotients") {
+  const ThreadsGuard one_thread(1);
+  for (const OpCase& op_case : op_cases()) {
+    for (const GradientError& result : gradient_errors(op_case)) {
+      INFO(op_case.name << " by " << result.name << ": relative error " << result.error);
+      CHECK(result.error <= op_case.tolerances.gradient);
+    }
+  }
+}
+
+TEST_CASE("operations agree with PyTorch") {
+  const ThreadsGuard one_thread(1);
+  TensorMap golden;
+  std::string loaded;
+  for (const OpCase& op_case : op_cases()) {
+    if (loaded != op_case.operation()) {
+      loaded = op_case.operation();
+      golden = load_safetensors(std::string(OPALINE_TEST_DATA) + "/" + loaded + ".safetensors").tensors;
+    }
+    INFO(op_case.name);
+    CHECK(golden_error(op_case, run_case(op_case, DType::kFloat64), golden) <= op_case.tolerances.golden);
+  }
+}
+
+TEST_CASE("operations give the same bits for any number of threads") {
+  for (const OpCase& op_case : op_cases()) {
+    for (const DType dtype : {DType::kFloat32, DType::kFloat64}) check_same_bits(op_case, dtype);
+  }
+}
+
+// Small cases are one unit of work; these are cut into several.
+TEST_CASE("large operations give the same bits for any number of threads") {
+  for (const OpCase& op_case : large_op_cases(40)) check_same_bits(op_case, DType::kFloat32);
+}
+
+TEST_CASE("large operations agree with their references") {
+  for (const OpCase& op_case : large_op_cases(24)) {
+    INFO(op_case.name);
+    CHECK(reference_error(op_case, run_case(op_case, DType::kFloat32)) <= op_case.tolerances.float32);
+  }
+}
+
+}  // namespace
+}  // namespace opaline::check
