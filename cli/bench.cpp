@@ -1,10 +1,12 @@
 // `opaline bench step`: time, work and memory of one training step or forward pass.
 #include <algorithm>
+#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <numeric>
 #include <string>
 #include <vector>
 
@@ -13,6 +15,7 @@
 #include "core/error.h"
 #include "core/memory.h"
 #include "core/random.h"
+#include "data/png.h"
 #include "models/cascade.h"
 #include "train/graph.h"
 #include "train/losses.h"
@@ -26,6 +29,7 @@ struct BenchArguments {
   int64_t batch = 1;
   int64_t width = 64;
   int64_t repeats = 3;
+  std::string mask;  // a PNG file or a share of the pixels; empty: all of them
   bool forward_only = false;
   bool json = false;
 };
@@ -35,6 +39,47 @@ Tensor random_tensor(Shape shape, uint32_t sample, double low = -1.0, double hig
   Random random(1, Purpose::kTest, 0, sample);
   for (float& value : tensor.values<float>()) value = static_cast<float>(random.uniform(low, high));
   return tensor;
+}
+
+/// The object's pixels, batch x size x size x 1: those of a PNG that have its largest value, nearest pixels
+/// where it is of another size; or a disc in the middle that covers the share.
+Tensor make_mask(const BenchArguments& arguments) {
+  const int64_t size = arguments.size;
+  const int64_t pixels = size * size;
+  std::vector<float> one(static_cast<size_t>(pixels), 1.0F);
+  if (std::filesystem::is_regular_file(arguments.mask)) {
+    const PngImage image = read_png(arguments.mask);
+    const int largest = (1 << image.bits) - 1;
+    for (int64_t i = 0; i < pixels; ++i) {
+      const auto x = static_cast<int>(i % size * image.width / size);
+      const auto y = static_cast<int>(i / size * image.height / size);
+      one[static_cast<size_t>(i)] = image.samples[image.at(x, y, 0)] == largest ? 1.0F : 0.0F;
+    }
+  } else if (!arguments.mask.empty()) {
+    double share = 0.0;
+    const char* const end = arguments.mask.data() + arguments.mask.size();
+    const auto [last, error] = std::from_chars(arguments.mask.data(), end, share);
+    if (error != std::errc() || last != end || !(share >= 0.0 && share <= 1.0)) {
+      fail_usage("bench step", "--mask {} is neither a PNG file nor a coverage from 0 to 1", arguments.mask);
+    }
+    // By distance from the middle, the nearest first: exactly the share, also where the disc meets the
+    // border.
+    std::vector<int64_t> order(one.size());
+    std::iota(order.begin(), order.end(), int64_t{0});
+    const auto distance = [&](int64_t i) {
+      const int64_t dx = 2 * (i % size) + 1 - size;
+      const int64_t dy = 2 * (i / size) + 1 - size;
+      return dx * dx + dy * dy;
+    };
+    std::stable_sort(order.begin(), order.end(),
+                     [&](int64_t a, int64_t b) { return distance(a) < distance(b); });
+    const auto inside = static_cast<size_t>(std::llround(share * static_cast<double>(pixels)));
+    for (size_t k = inside; k < order.size(); ++k) one[static_cast<size_t>(order[k])] = 0.0F;
+  }
+  Tensor mask({arguments.batch, size, size, 1});
+  const std::span<float> values = mask.values<float>();
+  for (size_t i = 0; i < values.size(); ++i) values[i] = one[i % one.size()];
+  return mask;
 }
 
 /// What is timed: a forward pass that gives a scalar or a result, and how to go backward from it.
@@ -90,7 +135,7 @@ class StageStep : public Step {
     const int64_t s = arguments.size;
     input_.image = random_tensor({b, s, s, cascade_.options().network.input_channels}, 0);
     input_.bsdf = random_tensor({b, s, s, kBsdfChannels}, 1);
-    targets_.mask = Tensor::full({b, s, s, 1}, 1.0);
+    targets_.mask = make_mask(arguments);
     targets_.normal = random_tensor({b, s, s, 3}, 2);
     targets_.depth = random_tensor({b, s, s, 1}, 3);
     targets_.illumination = random_tensor({b, illumination_values(variant)}, 4);
@@ -117,6 +162,7 @@ void run_bench_step(const BenchArguments& arguments) {
   if (stage) {
     step = std::make_unique<StageStep>(arguments);
   } else {
+    make_mask(arguments);  // a bad one is told here too
     step = std::make_unique<NetworkStep>(arguments);
   }
 
@@ -184,6 +230,10 @@ void add_bench(CLI::App& app, Outcome&) {
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   command->add_option("--width", arguments->width, "Channels of the first layer")->capture_default_str();
+  command->add_option(
+      "--mask", arguments->mask,
+      "The object's pixels: a PNG, or a coverage such as 0.3 (a disc). The networks compute all pixels "
+      "whatever it is; of a stage, the losses are over it");
   command->add_option("--repeats", arguments->repeats, "Timed repetitions after one warm-up")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();

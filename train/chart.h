@@ -28,7 +28,7 @@ struct ChartOptions {
   std::vector<double> x_marks = {};      ///< dashed verticals, such as the change of stage
   std::optional<double> reference = {};  ///< dashed horizontal
   std::string reference_name = {};
-  int width = 420;
+  int width = 396;
   int height = 240;
 };
 

@@ -4,7 +4,9 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <charconv>
+#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <system_error>
@@ -127,12 +129,14 @@ fs::path save_checkpoint(const fs::path& parent, const TrainingState& state, con
     write_file_atomically(temporary / kState,
                           seal({{"format", kFormat}, {"state", to_json(state)}, {"files", files}}));
     sync_folder(temporary);
-    // The same step can be there already: an interrupt right after a scheduled checkpoint, a resume --from.
-    const fs::path old = parent / fmt::format("{}old-{}.{}", kTemporary, name, ::getpid());
-    if (fs::exists(folder)) fs::rename(folder, old);
-    fs::rename(temporary, folder);
+    // The same step can be there already: after a resume --from, or a replayed failure. The two change places
+    // at once, so that a whole one has the name at any time.
+    if (::renameat2(AT_FDCWD, temporary.c_str(), AT_FDCWD, folder.c_str(), RENAME_EXCHANGE) != 0) {
+      if (errno != ENOENT) fs::remove_all(folder);  // a file system that cannot exchange
+      fs::rename(temporary, folder);
+    }
     sync_folder(parent);
-    fs::remove_all(old, error);
+    fs::remove_all(temporary, error);
   } catch (const std::exception& problem) {
     fs::remove_all(temporary, error);
     fail(folder.string(), "checkpoint not written, earlier ones are kept: {}", problem.what());

@@ -18,6 +18,7 @@
 #include "train/evaluate.h"
 #include "train/interrupt.h"
 #include "train/log.h"
+#include "train/memory_estimate.h"
 #include "train/stage.h"
 
 namespace opaline {
@@ -36,26 +37,40 @@ std::shared_ptr<const Dataset> open(const std::string& path) {
   return open_dataset(path);
 }
 
+/// Images of each micro-batch of an epoch. Throws Error where there are too few scenes.
+std::vector<int64_t> micro_batch_sizes(const Dataset& dataset, const RunConfig& config) {
+  const std::string where = dataset.facts().root.string();
+  int64_t samples = dataset.size(Split::kTrain);
+  if (samples == 0) fail(where, "has no training scenes");
+  if (config.data.max_scenes > 0) samples = std::min(samples, config.data.max_scenes);
+  const int64_t micro = config.train.micro_batch;
+  std::vector<int64_t> sizes = batch_sizes(samples, micro, std::min(kSmallestBatch, micro));
+  if (std::find(sizes.begin(), sizes.end(), 1) != sizes.end()) {
+    fail(where, "{} training scenes leave a micro-batch of one image, which has no batch statistics",
+         samples);
+  }
+  return sizes;
+}
+
 /// Where a run is, told to what it does: the loop over stages, epochs and steps.
 class Trainer {
  public:
   Trainer(const RunConfig& config, const TrainerOptions& options)
       : config_(config),
         options_(options),
-        lock_(options.run),
         dataset_(options.dataset ? options.dataset : open(config.data.path)),
+        sizes_(micro_batch_sizes(*dataset_, config)),
+        lock_(options.run),
         progress_(options.progress) {
     if (config_.train.threads > 0) set_num_threads(static_cast<int>(config_.train.threads));
     state_.config = config_.text;
     state_.data = dataset_->facts().fingerprint;
-    check_sizes();
   }
 
   TrainResult start();
   TrainResult resume();
 
  private:
-  void check_sizes();
   void compare_with(const TrainingState& before);
   TrainResult run();
   void open_stage(const Cascade* earlier);
@@ -67,6 +82,7 @@ class Trainer {
   void checkpoint();
   bool interrupted();
   void begin_session(std::string_view what);
+  void say_memory();
   double rate_factor() const;
   const StageConfig& stage_config() const { return config_.stages[static_cast<size_t>(state_.stage - 1)]; }
   int64_t micro_batches_per_step() const { return config_.train.batch / config_.train.micro_batch; }
@@ -80,32 +96,31 @@ class Trainer {
 
   RunConfig config_;
   TrainerOptions options_;
-  RunLock lock_;
+  // The scenes are looked at before the folder is made, so that a mistake leaves nothing behind.
   std::shared_ptr<const Dataset> dataset_;
+  std::vector<int64_t> sizes_;  // of an epoch's micro-batches
+  RunLock lock_;
   Progress progress_;
   InterruptGuard signals_;
   TrainingState state_;
-  std::vector<int64_t> sizes_;  // of an epoch's micro-batches
   std::unique_ptr<Stage> stage_;
   std::unique_ptr<MetricsLog> log_;
   Clock::time_point epoch_begin_ = Clock::now();
   int signal_ = 0;
 };
 
-void Trainer::check_sizes() {
-  const std::string where = dataset_->facts().root.string();
-  int64_t samples = dataset_->size(Split::kTrain);
-  if (samples == 0) fail(where, "has no training scenes");
-  if (config_.data.max_scenes > 0) samples = std::min(samples, config_.data.max_scenes);
-  const int64_t micro = config_.train.micro_batch;
-  sizes_ = batch_sizes(samples, micro, std::min(kSmallestBatch, micro));
-  if (std::find(sizes_.begin(), sizes_.end(), 1) != sizes_.end()) {
-    fail(where, "{} training scenes leave a micro-batch of one image, which has no batch statistics",
-         samples);
-  }
+void Trainer::say_memory() {
+  if (options_.progress.quiet) return;
+  const DatasetFacts& facts = dataset_->facts();
+  const bool known = facts.width > 0 && facts.height > 0;
+  const int64_t side = config_.model.image_size;
+  progress_.note(describe(
+      known ? estimate_memory(config_, facts.width, facts.height) : estimate_memory(config_, side, side),
+      available_memory()));
 }
 
 void Trainer::begin_session(std::string_view what) {
+  say_memory();
   append_event(options_.run.sessions(), {{"event", what}, {"step", state_.step}, {"threads", num_threads()}});
 }
 

@@ -126,6 +126,26 @@ TEST_CASE("the last k are kept, half-written ones are removed") {
   CHECK(fs::exists(folder.path() / "step-notes"));
 }
 
+TEST_CASE("networks that do not fit are refused with the whole difference") {
+  const test::TemporaryFolder folder("misfit");
+  const Cascade small = small_cascade(1);
+  const Checkpoint loaded =
+      load_checkpoint(save_checkpoint(folder.path(), state_at(5), small, Adam(small.named_parameters())));
+  Cascade wide({.network = {.variant = Variant::kPaper, .input_channels = 4, .image_size = 32, .width = 8},
+                .stage = 1});
+  CHECK_THROWS_WITH(restore_networks(loaded, wide),
+                    Contains("depth.safetensors") &&
+                        Contains("inc.double_conv.0.weight is 4x4x3x3, expected 8x4x3x3") &&
+                        Contains("outc.conv.weight"));
+  Checkpoint renamed = loaded;
+  renamed.networks.at("depth")["inc.double_conv.9.weight"] =
+      renamed.networks.at("depth").at("inc.double_conv.0.weight");
+  renamed.networks.at("depth").erase("inc.double_conv.0.weight");
+  Cascade again = small_cascade(2);
+  CHECK_THROWS_WITH(restore_networks(renamed, again),
+                    Contains("missing: inc.double_conv.0.weight") && Contains("inc.double_conv.9.weight"));
+}
+
 TEST_CASE("writing the same step again replaces it") {
   const test::TemporaryFolder folder("again");
   const Cascade first = small_cascade(1);

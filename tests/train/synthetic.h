@@ -18,7 +18,9 @@ struct SyntheticOptions {
   int64_t test = 4;
   int size = 32;
   std::string fingerprint = "synthetic-1";
-  int64_t poisoned = -1;  ///< training scene whose normals hold a NaN, as no reader would give
+  int64_t poisoned = -1;   ///< training scene whose normals hold a NaN, as no reader would give
+  int64_t empty = -1;      ///< training scene without an object
+  int64_t one_pixel = -1;  ///< training scene whose object is one pixel
 };
 
 class SyntheticDataset : public Dataset {
@@ -67,6 +69,9 @@ class SyntheticDataset : public Dataset {
           1 - (static_cast<double>(i / static_cast<size_t>(options_.size)) + 0.5) / options_.size * 2 - cy;
       const double r2 = (x * x + y * y) / (radius * radius);
       if (r2 >= 1.0) continue;
+      if (split == Split::kTrain && index == options_.empty) continue;
+      const size_t middle = pixels / 2 + static_cast<size_t>(options_.size) / 2;
+      if (split == Split::kTrain && index == options_.one_pixel && i != middle) continue;
       const double nx = x / radius;
       const double ny = y / radius;
       const double nz = std::sqrt(1.0 - r2);
