@@ -9,6 +9,8 @@ namespace opaline {
 namespace {
 
 constexpr int64_t kAlignment = 64;
+/// More than any address space holds; sizes below can be rounded up without overflow.
+constexpr int64_t kImpossible = int64_t{1} << 56;
 
 /// Sizes are rounded up to an eighth of their power of two, so that nearly equal requests share blocks while
 /// at most an eighth is wasted.
@@ -26,6 +28,7 @@ Pool::~Pool() {
 
 std::shared_ptr<std::byte> Pool::allocate(int64_t bytes) {
   if (bytes < 0) fail("pool", "cannot allocate {} bytes", bytes);
+  if (bytes > kImpossible) fail("pool", "out of memory: {} bytes asked for", bytes);
   const int64_t size = bucket(bytes);
   std::byte* block = nullptr;
   {

@@ -65,10 +65,14 @@ int64_t numel(const Shape& shape) {
 }
 
 Tensor::Tensor(Shape shape, DType dtype) {
+  int64_t bytes = size_of(dtype);
   for (const int64_t size : shape) {
     if (size < 0) fail("tensor", "negative size in shape {}", to_string(shape));
+    if (__builtin_mul_overflow(bytes, size, &bytes)) {
+      fail("tensor", "shape {} has more elements than memory has addresses", to_string(shape));
+    }
   }
-  auto storage = tensor_pool().allocate(opaline::numel(shape) * size_of(dtype));
+  auto storage = tensor_pool().allocate(bytes);
   impl_ = std::make_shared<Impl>(std::move(shape), dtype, std::move(storage));
 }
 

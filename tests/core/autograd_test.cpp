@@ -1,0 +1,174 @@
+#include "core/autograd.h"
+
+#include <catch2/catch.hpp>
+#include <thread>
+
+#include "core/memory.h"
+#include "core/ops/arithmetic.h"
+#include "core/ops/reduce.h"
+#include "core/ops/shape.h"
+#include "core/ops/unary.h"
+
+namespace opaline {
+namespace {
+
+Tensor leaf(std::initializer_list<double> values) {
+  Tensor x = Tensor::from(values, {static_cast<int64_t>(values.size())}, DType::kFloat64);
+  x.set_requires_grad(true);
+  return x;
+}
+
+TEST_CASE("backward reaches every leaf") {
+  const Tensor a = leaf({1, 2}), b = leaf({3, 5});
+  backward(sum(mul(a, b)));
+  CHECK(a.grad().at(0) == 3.0);
+  CHECK(a.grad().at(1) == 5.0);
+  CHECK(b.grad().at(1) == 2.0);
+  CHECK(!a.grad().requires_grad());
+}
+
+TEST_CASE("gradients add up over backward passes until they are cleared") {
+  Tensor a = leaf({1, 2});
+  backward(sum(square(a)));
+  const Tensor first = a.grad();
+  backward(sum(square(a)));
+  CHECK(a.grad().at(1) == 8.0);
+  CHECK(first.at(1) == 8.0);  // the same buffer, added to in place
+  a.zero_grad();
+  CHECK(!a.grad().defined());
+  backward(sum(a));
+  CHECK(a.grad().at(1) == 1.0);
+}
+
+TEST_CASE("a tensor used several times gets the sum") {
+  const Tensor a = leaf({3});
+  const Tensor b = square(a);        // 9
+  const Tensor c = add(b, b);        // 2 a^2
+  const Tensor d = mul(c, a);        // 2 a^3
+  backward(sum(add(d, mul(b, b))));  // + a^4
+  CHECK(a.grad().at(0) == Approx(6 * 9 + 4 * 27));
+}
+
+TEST_CASE("gradients that share storage are not added to in place") {
+  // add hands the same gradient to both inputs, reshape a view of it.
+  const Tensor a = leaf({1, 2}), b = leaf({1, 2});
+  const Tensor x = reshape(affine(a, 1.0), {2}), y = affine(b, 1.0);
+  const Tensor sum_of_both = add(x, y);
+  backward(sum(add(add(sum_of_both, x), mul(y, y))));
+  CHECK(a.grad().at(0) == 2.0);
+  CHECK(b.grad().at(0) == 3.0);
+  CHECK(b.grad().at(1) == 5.0);
+}
+
+TEST_CASE("a seed weights the elements of the root") {
+  const Tensor a = leaf({1, 2, 3});
+  const Tensor seed = Tensor::from({1, 0, -2}, {3}, DType::kFloat64);
+  backward(square(a), seed);
+  CHECK(a.grad().at(0) == 2.0);
+  CHECK(a.grad().at(1) == 0.0);
+  CHECK(a.grad().at(2) == -12.0);
+  CHECK(seed.at(2) == -2.0);
+}
+
+TEST_CASE("roots and seeds that do not fit are refused") {
+  const Tensor a = leaf({1, 2});
+  CHECK_THROWS_WITH(backward(square(a)), Catch::Contains("2") && Catch::Contains("seed"));
+  CHECK_THROWS_WITH(backward(square(a), Tensor::zeros({3}, DType::kFloat64)), Catch::Contains("3"));
+  CHECK_THROWS_WITH(backward(square(a), Tensor::zeros({2})), Catch::Contains("float32"));
+  CHECK_THROWS_WITH(backward(Tensor::scalar(1.0)), Catch::Contains("no history"));
+  CHECK(!a.grad().defined());
+}
+
+TEST_CASE("a leaf may be the root") {
+  Tensor a = Tensor::scalar(2.0, DType::kFloat64);
+  a.set_requires_grad(true);
+  backward(a);
+  CHECK(a.grad().item() == 1.0);
+}
+
+TEST_CASE("without gradients nothing is recorded") {
+  const Tensor a = leaf({1, 2});
+  {
+    const NoGradGuard outer;
+    CHECK(!grad_enabled());
+    { const NoGradGuard inner; }
+    CHECK(!grad_enabled());
+    CHECK(!square(a).requires_grad());
+    bool other_thread = false;
+    std::thread([&] { other_thread = grad_enabled(); }).join();
+    CHECK(other_thread);
+  }
+  CHECK(grad_enabled());
+  CHECK(square(a).requires_grad());
+  // Nor where no input wants one.
+  CHECK(!square(Tensor::zeros({2})).requires_grad());
+  CHECK(!square(a.detach()).requires_grad());
+}
+
+TEST_CASE("inputs that want no gradient get none") {
+  const Tensor a = leaf({1, 2}), constant = Tensor::from({4, 5}, {2}, DType::kFloat64);
+  backward(sum(mul(a, constant)));
+  CHECK(a.grad().at(1) == 5.0);
+  CHECK(!constant.grad().defined());
+}
+
+TEST_CASE("a graph is consumed by its backward pass") {
+  const Tensor a = leaf({1, 2});
+  const Tensor loss = sum(square(a));
+  backward(loss);
+  CHECK_THROWS_WITH(backward(loss), Catch::Contains("backward ran through this graph before"));
+  CHECK(a.grad().at(1) == 4.0);
+}
+
+TEST_CASE("two roots may share a part that only one of them walks") {
+  const Tensor a = leaf({2});
+  const Tensor shared = square(a);
+  const Tensor first = sum(shared), second = sum(mul(shared, shared));
+  backward(first);
+  CHECK(a.grad().at(0) == 4.0);
+  CHECK_THROWS_AS(backward(second), Error);
+}
+
+TEST_CASE("saved tensors are freed while backward runs") {
+  constexpr int64_t kCount = 1 << 16, kBytes = kCount * 8;
+  constexpr int kLinks = 16;
+  Tensor x = Tensor::full({kCount}, 1.0, DType::kFloat64);
+  x.set_requires_grad(true);
+  Tensor y = x;
+  for (int i = 0; i < kLinks; ++i) y = square(y);
+  Tensor loss = sum(y);
+  y = {};
+  const int64_t before = tensor_pool().bytes_in_use();
+  CHECK(before >= kLinks * kBytes);
+  tensor_pool().reset_peak();
+  backward(loss);
+  // The gradients in flight are few: what the walk has passed is free by then.
+  CHECK(tensor_pool().peak_bytes() - before <= 3 * kBytes);
+  // Only x, its gradient and the loss remain, although `loss` still stands.
+  CHECK(tensor_pool().bytes_in_use() <= before - (kLinks - 1) * kBytes);
+}
+
+TEST_CASE("a graph that is never walked dies with its root") {
+  const int64_t before = tensor_pool().bytes_in_use();
+  {
+    Tensor x = Tensor::zeros({1024}, DType::kFloat64);
+    x.set_requires_grad(true);
+    Tensor y = x;
+    for (int i = 0; i < 5; ++i) y = square(y);
+  }
+  CHECK(tensor_pool().bytes_in_use() == before);
+}
+
+TEST_CASE("a long graph neither dies nor walks by recursion") {
+  Tensor x = leaf({1});
+  Tensor y = x;
+  for (int i = 0; i < 200'000; ++i) y = affine(y, 1.0);
+  Tensor unused = y;
+  for (int i = 0; i < 200'000; ++i) unused = affine(unused, 1.0);
+  unused = {};
+  backward(y);
+  CHECK(x.grad().at(0) == 1.0);
+}
+
+}  // namespace
+}  // namespace opaline
