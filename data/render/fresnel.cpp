@@ -8,7 +8,8 @@ namespace opaline::render {
 Fresnel fresnel(double cos_incidence, double eta) {
   // At exactly grazing incidence between equal indices the quotients below would be 0 / 0.
   const double ci = std::clamp(cos_incidence, 1e-12, 1.0);
-  // Squared cosine of the refracted ray, from Snell's law, in a form that keeps its sign near grazing incidence.
+  // Squared cosine of the refracted ray, from Snell's law, in a form that keeps its sign near grazing
+  // incidence.
   const double transmit2 = ((eta * eta - 1.0) + ci * ci) / (eta * eta);
   Fresnel f;
   if (transmit2 > 0.0) {
