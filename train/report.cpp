@@ -36,7 +36,7 @@ table.small { font-size: 11px; margin-top: 4px; } table.small th, table.small td
 .chart .grid { stroke: #e6ebf0; } .chart .axis { stroke: #8b98a5; }
 .chart .mark { stroke: #8b98a5; stroke-dasharray: 4 4; } .chart .reference { stroke: #b3372f; stroke-dasharray: 5 4; }
 .scene { display: flex; flex-wrap: wrap; gap: 8px; align-items: flex-start; padding: 10px 0; border-top: 1px solid #e6ebf0; }
-.facts { width: 260px; font-size: 13px; }
+.facts { width: 300px; font-size: 13px; }
 figure { margin: 0; } figure img { width: 132px; height: auto; display: block; border: 1px solid #dde3e9; image-rendering: pixelated; }
 figcaption { font-size: 11px; color: #5a6876; text-align: center; }
 .legend { font-size: 12px; color: #5a6876; margin-right: 24px; }
