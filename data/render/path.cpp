@@ -36,17 +36,23 @@ double largest(const Rgb& c) {
   return std::max({c[0], c[1], c[2]});
 }
 
-template <int R>
-void unit_response(Response<R>& response, const Vec3& direction) {
-  static_assert(R == 1);
+/// Of unpolarised light that a scattering sends on.
+Response<1> scalar_response(const Vec3& direction) {
+  Response<1> response;
   response.pure[0] = response.scattered[0] = {1.0, 0.0, 0.0, 0.0};
   response.axis = basis_around(direction).first;
+  return response;
 }
 
-template <int R>
-void add(StokesRgb& sum, const std::array<Stokes, R>& rows, const Rgb& light) {
+/// sum += rows x light, for unpolarised light.
+void add(StokesRgb& sum, const Rgb& rows, const Rgb& light) {
   for (size_t i = 0; i < 3; ++i)
-    for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i][0] * light[c];
+    for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i] * light[c];
+}
+
+/// What the three rows make of unpolarised light.
+Rgb first_column(const std::array<Stokes, 3>& rows) {
+  return {rows[0][0], rows[1][0], rows[2][0]};
 }
 
 Rgb product(const Rgb& a, const Rgb& b) {
@@ -77,8 +83,7 @@ class Walker {
   }
   template <int R>
   End fly(Ray& ray, Response<R>& response, Rgb& beta);
-  template <int R>
-  End follow(Ray& ray, Response<R>& response, double& length, double& weight, double dark);
+  End follow(Ray& ray, Response<1>& response, double& length, double& weight, double dark);
   void add_unscattered(Ray ray, Response<3> response, double length, double carried, StokesRgb& sum,
                        StokesRgb& clear);
   void add_scattered(Ray ray, Response<3> response, StokesRgb& sum);
@@ -155,8 +160,7 @@ End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta) {
 
 /// Moves the ray, which nothing scatters, until it leaves the scene. `length` gets what lies inside, `weight`
 /// the roulette's factor; where the transmittance falls under `dark`, roulette follows it.
-template <int R>
-End Walker::follow(Ray& ray, Response<R>& response, double& length, double& weight, double dark) {
+End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weight, double dark) {
   for (int events = 0;; ++events) {
     Hit hit;
     if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
@@ -212,8 +216,8 @@ void Walker::add_unscattered(Ray ray, Response<3> response, double length, doubl
     carried *= 1.0 - reflectance;
   }
   const Rgb light = scaled(world_.light->radiance(ray.origin, ray.direction), weight);
-  add<3>(clear, response.pure, light);
-  add<3>(sum, response.pure, product(light, world_.medium.transmittance(length)));
+  add(clear, first_column(response.pure), light);
+  add(sum, first_column(response.pure), product(light, world_.medium.transmittance(length)));
 }
 
 /// Light that finds its way to `position` without scattering, along a direction of the guide's.
@@ -223,16 +227,14 @@ void Walker::connect(const Vec3& position, const Vec3& direction, const Rgb& bet
   if (!world_.guide->sample(position, random_, ray.direction)) return;
   const double phase = henyey_greenstein(dot(direction, ray.direction), world_.medium.g);
   const double share = phase / (phase + world_.guide->density(position, ray.direction));
-  Response<1> response;
-  unit_response(response, ray.direction);
+  Response<1> response = scalar_response(ray.direction);
   double length = 0.0, weight = 1.0;
   const End end = follow(ray, response, length, weight, 0.05);
   if (end == End::kLost) ++faults_.lost;
   if (end != End::kEscaped) return;
   Rgb light = world_.light->radiance(ray.origin, ray.direction);
   light = product(product(light, beta), world_.medium.transmittance(length));
-  for (size_t i = 0; i < 3; ++i)
-    for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i] * share * weight * response.pure[0][0] * light[c];
+  add(sum, scaled(rows, share * weight * response.pure[0][0]), light);
 }
 
 /// Light that has scattered.
@@ -240,7 +242,7 @@ void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
   Rgb beta{1.0, 1.0, 1.0};
   End end = fly(ray, camera, beta);
   // Where the light comes out it is unpolarised: one number for each of the pixel's Stokes components.
-  const Rgb rows{camera.scattered[0][0], camera.scattered[1][0], camera.scattered[2][0]};
+  const Rgb rows = first_column(camera.scattered);
   while (end == End::kScattered) {
     beta = product(beta, world_.medium.albedo);
     const double throughput = largest(beta);
@@ -256,8 +258,7 @@ void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
     const Vec3 position = ray.origin;
     const Vec3 direction = around(ray.direction, cosine, 2.0 * std::numbers::pi * random_.uniform());
     ray.direction = direction;
-    Response<1> response;
-    unit_response(response, direction);
+    Response<1> response = scalar_response(direction);
     end = fly(ray, response, beta);
     if (end == End::kEscaped) {
       double share = 1.0;
@@ -266,8 +267,7 @@ void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
         share = phase / (phase + world_.guide->density(position, direction));
       }
       const Rgb light = product(world_.light->radiance(ray.origin, ray.direction), beta);
-      for (size_t i = 0; i < 3; ++i)
-        for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i] * share * response.pure[0][0] * light[c];
+      add(sum, scaled(rows, share * response.pure[0][0]), light);
     }
     beta = scaled(beta, response.scattered[0][0]);
   }
@@ -305,9 +305,9 @@ PathSample Walker::run(const CameraRay& camera) {
   Hit next;
   if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, next)) {
     const Rgb light = world_.light->radiance(ray.origin, ray.direction);
-    add<3>(sample.mirror, mirrored.pure, light);
-    add<3>(sample.reflected, mirrored.pure, light);
-    add<3>(sample.clear, mirrored.pure, light);
+    add(sample.mirror, first_column(mirrored.pure), light);
+    add(sample.reflected, first_column(mirrored.pure), light);
+    add(sample.clear, first_column(mirrored.pure), light);
   } else {
     add_unscattered(ray, mirrored, 0.0, f.reflectance(), sample.reflected, sample.clear);
     if (!world_.medium.empty()) add_scattered(ray, mirrored, sample.scattered);
