@@ -8,6 +8,7 @@
 #include "core/error.h"
 #include "core/file.h"
 #include "core/parallel.h"
+#include "nn/schedule.h"
 #include "tests/train/synthetic.h"
 #include "train/checkpoint.h"
 #include "train/interrupt.h"
@@ -92,6 +93,16 @@ void check_same_run(const fs::path& a, const fs::path& b, const std::string& ste
   CHECK(log_without_wall(a) == log_without_wall(b));
 }
 
+/// The first training scenes, encoded, as one batch.
+Batch first_scenes(const RunConfig& config, int64_t count) {
+  const SyntheticDataset dataset({.train = count, .test = 0});
+  std::vector<Sample> samples;
+  for (int64_t i = 0; i < count; ++i) {
+    samples.push_back(encode_scene(dataset.load(Split::kTrain, i, {}), config.model.encode));
+  }
+  return make_batch(samples);
+}
+
 TEST_CASE("a run that was stopped and resumed is bitwise the run that was not") {
   const TemporaryFolder folder("resume");
   const fs::path whole = folder.path() / "whole";
@@ -149,32 +160,30 @@ TEST_CASE("threads change nothing but the time") {
   }
 }
 
-TEST_CASE("four scenes can be learnt by heart, in both stages") {
-  const TemporaryFolder folder("overfit");
+TEST_CASE("four scenes can be learnt by heart, in either stage") {
+  const int number = GENERATE(1, 2);
   const RunConfig config =
-      small_config({"model.width=8", "train.batch=4", "train.micro_batch=4", "train.log_every=1",
-                    "train.eval_scenes=0", "stage1.epochs=260", "stage1.learning_rate=2e-3",
-                    "stage2.epochs=120", "stage2.learning_rate=1e-3", "train.keep=1"});
-  start_training(config, quiet(folder.path(), scenes({.train = 4, .test = 0})));
-  std::map<int64_t, std::vector<double>> losses;
-  for (const nlohmann::json& event : read_events(folder.path() / "metrics.jsonl")) {
-    if (event.at("event") == "step") losses[event.at("stage")].push_back(event.at("losses").at("total"));
+      small_config({"model.width=8", "stage1.learning_rate=2e-3", "stage2.learning_rate=2e-3"});
+  const Batch batch = first_scenes(config, 4);
+  Stage stage(config, number);  // from freshly drawn weights: the start is that of all terms
+  std::vector<StepOutcome> steps;
+  constexpr int kSteps = 360;
+  for (int i = 0; i < kSteps; ++i) {
+    // At a constant rate an L1 loss ends in a swing as large as the steps; the recipe's decay takes it away.
+    const double factor = linear_decay_by_step(i, kSteps);
+    steps.push_back(stage.step(
+        std::vector<int64_t>{4}, [&] { return batch; }, factor));
+    REQUIRE_FALSE(steps.back().failure);
   }
-  REQUIRE(losses.size() == 2);
-  INFO("stage 1: " << losses[1].front() << " -> " << losses[1].back());
-  INFO("stage 2: " << losses[2].front() << " -> " << losses[2].back());
-  CHECK(losses[1].back() < 0.02 * losses[1].front());
-  CHECK(losses[2].back() < 0.02 * losses[1].front());
+  for (const auto& [name, first] : steps.front().losses) {
+    UNSCOPED_INFO(name << ": " << first << " -> " << steps.back().losses.at(name));
+  }
+  CHECK(steps.back().losses.at("total") < 0.02 * steps.front().losses.at("total"));
 }
 
 TEST_CASE("micro-batches add up to the gradient of the mean") {
   const RunConfig config = small_config();
-  const SyntheticDataset dataset({.train = 8, .test = 0});
-  std::vector<Sample> samples;
-  for (int64_t i = 0; i < 4; ++i) {
-    samples.push_back(encode_scene(dataset.load(Split::kTrain, i, {}), config.model.encode));
-  }
-  const Batch batch = make_batch(samples);
+  const Batch batch = first_scenes(config, 4);
   const auto next = [&] { return batch; };
   const StepOutcome once = Stage(config, 2).step(std::vector<int64_t>{4}, next, 1.0);
   const StepOutcome thrice = Stage(config, 2).step(std::vector<int64_t>{4, 4, 4}, next, 1.0);
@@ -252,13 +261,8 @@ TEST_CASE("weights that are not finite are named") {
   Stage stage(small_config(), 1);
   Tensor weight = stage.cascade().network("depth").named_parameters().at(4).tensor;
   weight.data<float>()[0] = std::numeric_limits<float>::infinity();
-  const SyntheticDataset dataset({.train = 4, .test = 0});
-  std::vector<Sample> samples;
-  for (int64_t i = 0; i < 4; ++i) {
-    samples.push_back(encode_scene(dataset.load(Split::kTrain, i, {}), small_config().model.encode));
-  }
   const StepOutcome outcome = stage.step(
-      std::vector<int64_t>{4}, [&] { return make_batch(samples); }, 1.0);
+      std::vector<int64_t>{4}, [] { return first_scenes(small_config(), 4); }, 1.0);
   REQUIRE(outcome.failure);
   CHECK_THAT(outcome.failure->layer,
              Contains("depth." + stage.cascade().network("depth").named_parameters().at(4).name));
