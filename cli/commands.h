@@ -18,6 +18,7 @@ void add_bench(CLI::App& app, Outcome& outcome);
 void add_check_data(CLI::App& app, Outcome& outcome);
 void add_eval(CLI::App& app, Outcome& outcome);
 void add_forward(CLI::App& app, Outcome& outcome);
+void add_gradcheck(CLI::App& app, Outcome& outcome);
 void add_inspect(CLI::App& app, Outcome& outcome);
 void add_predict(CLI::App& app, Outcome& outcome);
 void add_render(CLI::App& app, Outcome& outcome);
@@ -28,8 +29,8 @@ void add_validate(CLI::App& app, Outcome& outcome);
 
 // The table that main.cpp walks, in the order of --help.
 inline constexpr AddCommand kCommands[] = {
-    add_render,     add_train,   add_resume,  add_eval,     add_predict, add_report,  //
-    add_check_data, add_inspect, add_forward, add_validate, add_bench,   nullptr,
+    add_render,  add_train,     add_resume,   add_eval,    add_predict, add_report, add_check_data,
+    add_inspect, add_gradcheck, add_validate, add_forward, add_bench,   nullptr,
 };
 
 }  // namespace opaline::cli

@@ -100,8 +100,10 @@ Entry parse_entry(const std::string& file, const std::string& name, const nlohma
 }  // namespace
 
 SafetensorsFile load_safetensors(const std::filesystem::path& path) {
-  const std::string file = path.string();
-  const std::vector<std::byte> bytes = read_file(path);
+  return decode_safetensors(read_file(path), path.string());
+}
+
+SafetensorsFile decode_safetensors(std::span<const std::byte> bytes, const std::string& file) {
   if (bytes.size() < 8) fail(file, "has {} bytes, too short for a safetensors file", bytes.size());
   uint64_t header_size = 0;
   std::memcpy(&header_size, bytes.data(), 8);
@@ -111,7 +113,7 @@ SafetensorsFile load_safetensors(const std::filesystem::path& path) {
   }
   const auto header =
       parse_header(file, {reinterpret_cast<const char*>(bytes.data()) + 8, static_cast<size_t>(header_size)});
-  const std::span<const std::byte> data = std::span(bytes).subspan(8 + static_cast<size_t>(header_size));
+  const std::span<const std::byte> data = bytes.subspan(8 + static_cast<size_t>(header_size));
 
   SafetensorsFile result;
   std::vector<Entry> entries;

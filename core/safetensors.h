@@ -3,6 +3,7 @@
 
 #include <filesystem>
 #include <map>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -23,6 +24,8 @@ struct SafetensorsFile {
 /// file, shape x type against span. With a `xxh64` entry in the metadata (ours have one) the data is checked
 /// too. Throws Error naming the file and the tensor.
 SafetensorsFile load_safetensors(const std::filesystem::path& path);
+/// The same for bytes in memory; `file` is for messages.
+SafetensorsFile decode_safetensors(std::span<const std::byte> bytes, const std::string& file);
 
 /// Writes to a temporary name beside `path`, syncs, renames; adds the checksum of the data to the metadata.
 void save_safetensors(const std::filesystem::path& path, const TensorMap& tensors,

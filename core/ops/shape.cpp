@@ -88,15 +88,17 @@ Tensor concat(std::initializer_list<Tensor> parts, int64_t axis) {
 Tensor reshape(const Tensor& x, Shape shape) {
   int64_t known = 1;
   int64_t* unknown = nullptr;
+  bool valid = true;
   for (int64_t& size : shape) {
     if (size == -1 && unknown == nullptr) {
       unknown = &size;
     } else {
+      valid = valid && size >= 0;
       known *= size;
     }
   }
   if (unknown != nullptr) *unknown = known > 0 ? x.numel() / known : 0;
-  if (known < 0 || numel(shape) != x.numel()) {
+  if (!valid || numel(shape) != x.numel()) {
     fail("reshape", "{} elements of shape {} do not fit shape {}", x.numel(), to_string(x.shape()),
          to_string(shape));
   }
