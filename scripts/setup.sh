@@ -8,7 +8,7 @@ packages=(
   g++ cmake ninja-build ccache git pkg-config python3
   clang-format clang-tidy
   libeigen3-dev libopenexr-dev libimath-dev libpng-dev libtomlplusplus-dev libcli11-dev nlohmann-json3-dev
-  libfmt-dev libspdlog-dev libxxhash-dev libembree-dev libhwy-dev libbenchmark-dev catch2
+  libfmt-dev libspdlog-dev libxxhash-dev libembree-dev libhwy-dev catch2
 )
 if [[ "${1:-}" == "--peers" ]]; then
   # OpenBLAS: with the reference BLAS that PyTorch would pull in, the comparison takes three times as long.
