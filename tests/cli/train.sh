@@ -92,6 +92,8 @@ kill -INT "$pid"
 code=0; wait "$pid" || code=$?
 [[ $code -eq 130 ]] || { cat "$folder/log"; die "exit $code after SIGINT, expected 130"; }
 grep -qF "opaline resume $folder/stopped goes on" "$folder/log" || die "does not say how to go on"
+step=$(sed -n 's/^interrupted after step \([0-9]*\): saved.*/\1/p' "$folder/log")
+[[ -f "$folder/stopped/checkpoints/step-$step/state.json" ]] || die "step '$step' was not saved"
 "$opaline" resume "$folder/stopped" >"$folder/log" 2>&1 &
 pid=$!
 wait_for "$folder/stopped" 47
