@@ -63,7 +63,9 @@ std::vector<double> stage_changes(const std::vector<Json>& events) {
 std::string curves(const std::vector<Json>& events, const std::optional<EvaluationSummary>& summary) {
   const std::vector<double> marks = stage_changes(events);
   const auto pointer = [](const std::string& path) { return nlohmann::json::json_pointer(path); };
-  std::string html = "<div class='charts'>";
+  std::string html =
+      marks.empty() ? "" : "<p class='sub'>The dashed vertical is the change from stage 1 to stage 2.</p>";
+  html += "<div class='charts'>";
 
   const auto loss_chart = [&](const std::string& name, const std::string& title) {
     const auto steps = thin(column(events, "step", pointer("/losses/" + name)));
@@ -119,9 +121,9 @@ std::string scatter(const std::vector<SceneResult>& results) {
   const auto chart = [](const std::string& title, std::vector<ChartPoint> points) {
     return render_chart(
         {{.name = "", .colour = kBlue, .points = std::move(points)}},
-        {.title = title, .x_label = "truth", .lines = false, .diagonal = true, .width = 300, .height = 300});
+        {.title = title, .x_label = "truth", .lines = false, .diagonal = true, .width = 396, .height = 360});
   };
-  return "<div class='charts'>" + chart("sigma_t, per metre: estimate over truth", std::move(sigma)) +
+  return "<div class='charts'>" + chart("sigma_t per metre: estimate over truth", std::move(sigma)) +
          chart("albedo: estimate over truth", std::move(albedo)) +
          chart("g: estimate over truth", std::move(g)) + "</div>";
 }

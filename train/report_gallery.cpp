@@ -52,8 +52,8 @@ std::vector<float> aligned(std::span<const float> estimate, std::span<const floa
   return result;
 }
 
-std::string triple(const std::array<float, 3>& values) {
-  return fmt::format("{:.2f} {:.2f} {:.2f}", values[0], values[1], values[2]);
+std::string triple(const std::array<float, 3>& values, int digits) {
+  return fmt::format("{0:.{3}f} {1:.{3}f} {2:.{3}f}", values[0], values[1], values[2], digits);
 }
 
 std::string parameters(const SceneResult& result) {
@@ -66,8 +66,8 @@ std::string parameters(const SceneResult& result) {
                        estimate(text));
   };
   return "<table class='small'><tr><th></th><th>truth</th><th>estimate</th></tr>" +
-         row("sigma_t", [](const SssValues& v) { return triple(v.sigma_t); }) +
-         row("albedo", [](const SssValues& v) { return triple(v.albedo); }) +
+         row("sigma_t", [](const SssValues& v) { return triple(v.sigma_t, 1); }) +
+         row("albedo", [](const SssValues& v) { return triple(v.albedo, 2); }) +
          row("g", [](const SssValues& v) { return fmt::format("{:.2f}", v.g); }) + "</table>";
 }
 

@@ -92,6 +92,8 @@ kill -INT "$pid"
 code=0; wait "$pid" || code=$?
 [[ $code -eq 130 ]] || { cat "$folder/log"; die "exit $code after SIGINT, expected 130"; }
 grep -qF "opaline resume $folder/stopped goes on" "$folder/log" || die "does not say how to go on"
+step=$(sed -n 's/^interrupted after step \([0-9]*\): saved.*/\1/p' "$folder/log")
+[[ -f "$folder/stopped/checkpoints/step-$step/state.json" ]] || die "step '$step' was not saved"
 "$opaline" resume "$folder/stopped" >"$folder/log" 2>&1 &
 pid=$!
 wait_for "$folder/stopped" 47
@@ -128,7 +130,8 @@ for kib in 1 40 $((largest / 2048)) $((largest / 1024)); do
   (ulimit -c 0; ulimit -f $kib; "$opaline" resume "$folder/torn" --from "$folder/torn/checkpoints/step-65") \
     >"$folder/log" 2>&1 || code=$?
   [[ $code -ge 1 ]] || die "a file limit of $kib KiB was not met"
-  [[ -f "$folder/torn/checkpoints/step-65/state.json" ]] || die "step-65 is lost"
+  expect 0 "$opaline" eval "$folder/torn" --data "$folder/data" --max-scenes 1
+  if grep -qF "passed over" "$folder/err"; then die "a checkpoint is torn"; fi
 done
 code=0
 (trap '' XFSZ; ulimit -f 40; exec "$opaline" resume "$folder/torn" --from "$folder/torn/checkpoints/step-65") \

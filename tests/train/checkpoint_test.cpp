@@ -95,6 +95,16 @@ TEST_CASE("a damaged checkpoint is passed over with a warning") {
   CHECK_THAT(warning, Contains("step-10") && Contains(file));
 }
 
+TEST_CASE("a file of another checkpoint is not taken for this one's") {
+  const test::TemporaryFolder folder("mixed");
+  const Cascade first = small_cascade(1);
+  const Cascade second = small_cascade(2);
+  const fs::path a = save_checkpoint(folder.path(), state_at(5), first, Adam(first.named_parameters()));
+  const fs::path b = save_checkpoint(folder.path(), state_at(10), second, Adam(second.named_parameters()));
+  fs::copy_file(a / "depth.safetensors", b / "depth.safetensors", fs::copy_options::overwrite_existing);
+  CHECK_THROWS_WITH(load_checkpoint(b), Contains("depth.safetensors") && Contains("checksum"));
+}
+
 TEST_CASE("every bit of a checkpoint's state is guarded") {
   const test::TemporaryFolder folder("state");
   const Cascade cascade = small_cascade(1);
