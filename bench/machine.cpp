@@ -1,7 +1,5 @@
 #include "bench/machine.h"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
@@ -10,79 +8,109 @@
 
 #include "core/parallel.h"
 
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "bench/machine.cpp"
+#include <hwy/foreach_target.h>  // compiles the rest once an instruction set
+#include <hwy/highway.h>
+
+HWY_BEFORE_NAMESPACE();
 namespace opaline::bench {
+namespace HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+/// `rounds` times twelve independent fused multiply-adds: enough to fill two pipelines of latency four to
+/// six. Returns something that depends on all of them, so that none is left out.
+HWY_ATTR float multiply_adds(int64_t rounds) {
+  const hn::ScalableTag<float> d;
+  const auto a = hn::Set(d, 0.999F), b = hn::Set(d, 1e-3F);
+  auto x0 = a, x1 = b, x2 = a, x3 = b, x4 = a, x5 = b, x6 = a, x7 = b, x8 = a, x9 = b, x10 = a, x11 = b;
+  for (int64_t i = 0; i < rounds; ++i) {
+    x0 = hn::MulAdd(x0, a, b);
+    x1 = hn::MulAdd(x1, a, b);
+    x2 = hn::MulAdd(x2, a, b);
+    x3 = hn::MulAdd(x3, a, b);
+    x4 = hn::MulAdd(x4, a, b);
+    x5 = hn::MulAdd(x5, a, b);
+    x6 = hn::MulAdd(x6, a, b);
+    x7 = hn::MulAdd(x7, a, b);
+    x8 = hn::MulAdd(x8, a, b);
+    x9 = hn::MulAdd(x9, a, b);
+    x10 = hn::MulAdd(x10, a, b);
+    x11 = hn::MulAdd(x11, a, b);
+  }
+  const auto sum = hn::Add(
+      hn::Add(hn::Add(x0, x1), hn::Add(x2, x3)),
+      hn::Add(hn::Add(hn::Add(x4, x5), hn::Add(x6, x7)), hn::Add(hn::Add(x8, x9), hn::Add(x10, x11))));
+  return hn::GetLane(hn::SumOfLanes(d, sum));
+}
+
+int64_t lanes() {
+  return static_cast<int64_t>(hn::Lanes(hn::ScalableTag<float>()));
+}
+
+const char* name() {
+  return hwy::TargetName(HWY_TARGET);
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace opaline::bench
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace opaline::bench {
+
+HWY_EXPORT(multiply_adds);
+HWY_EXPORT(lanes);
+HWY_EXPORT(name);
+
 namespace {
 
-double seconds_since(std::chrono::steady_clock::time_point begin) {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
+constexpr int kRepeats = 5;
 
-constexpr int64_t kRounds = 4'000'000;
-constexpr int kChains = 12;  // independent multiply-adds: more than latency x ports of any current core
-
-typedef float Vector16 __attribute__((vector_size(64)));
-typedef float Vector8 __attribute__((vector_size(32)));
-
-// Contraction turns each line into one fused multiply-add.
-template <class V>
-__attribute__((always_inline)) inline float chains(float start) {
-  V acc[kChains], factor = V{} + 0.999F, step = V{} + start;
-  for (int i = 0; i < kChains; ++i) acc[i] = V{} + start * static_cast<float>(i);
-  for (int64_t r = 0; r < kRounds; ++r) {
-#pragma GCC unroll 12
-    for (int i = 0; i < kChains; ++i) acc[i] = acc[i] * factor + step;
+template <class F>
+double best_seconds(const F& f) {
+  double best = 1e30;
+  for (int i = 0; i < kRepeats; ++i) {
+    const auto begin = std::chrono::steady_clock::now();
+    f();
+    best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
   }
-  V sum{};
-  for (int i = 0; i < kChains; ++i) sum += acc[i];
-  return sum[0];
+  return best;
 }
 
-__attribute__((target("avx512f"))) float wide_chains(float start) {
-  return chains<Vector16>(start);
+double measure_gflops() {
+  constexpr int64_t kRounds = 4'000'000, kChains = 12;
+  const int threads = num_threads();
+  std::vector<float> results(static_cast<size_t>(threads));
+  const double seconds = best_seconds([&] {
+    parallel_for(threads, [&](int64_t i) {
+      results[static_cast<size_t>(i)] = HWY_DYNAMIC_DISPATCH(multiply_adds)(kRounds);
+    });
+  });
+  const auto operations =
+      static_cast<double>(2 * kRounds * kChains * HWY_DYNAMIC_DISPATCH(lanes)() * threads);
+  return 1e-9 * operations / seconds;
 }
-__attribute__((target("avx2,fma"))) float narrow_chains(float start) {
-  return chains<Vector8>(start);
+
+double measure_copy() {
+  constexpr int64_t kBytes = int64_t{1} << 28, kBlock = int64_t{1} << 20;
+  std::vector<char> from(static_cast<size_t>(kBytes), 'x'), to(static_cast<size_t>(kBytes));
+  const double seconds = best_seconds([&] {
+    parallel_blocks(kBytes, kBlock, [&](int64_t begin, int64_t end) {
+      std::memcpy(to.data() + begin, from.data() + begin, static_cast<size_t>(end - begin));
+    });
+  });
+  return 1e-9 * 2.0 * static_cast<double>(kBytes) / seconds;
 }
 
 }  // namespace
 
-MachineLimits measure_machine() {
-  MachineLimits limits;
-  const bool wide = __builtin_cpu_supports("avx512f") != 0;
-  const bool narrow = __builtin_cpu_supports("avx2") != 0 && __builtin_cpu_supports("fma") != 0;
-  limits.instruction_set = wide ? "AVX-512" : narrow ? "AVX2" : "none of AVX2 and AVX-512";
-  const int threads = num_threads();
-  std::vector<float> sinks(static_cast<size_t>(threads));
-  for (int repeat = 0; repeat < 3 && (wide || narrow); ++repeat) {
-    const auto begin = std::chrono::steady_clock::now();
-#pragma omp parallel num_threads(threads)
-    {
-      const int t = omp_get_thread_num();
-      sinks[static_cast<size_t>(t)] = wide ? wide_chains(1e-3F) : narrow_chains(1e-3F);
-    }
-    const double operations = 2.0 * kRounds * kChains * (wide ? 16 : 8) * threads;
-    limits.gflops = std::max(limits.gflops, 1e-9 * operations / seconds_since(begin));
-  }
-
-  // Far larger than any cache; each thread sums its own part.
-  const std::vector<uint64_t> memory(size_t{1} << 25, 1);
-  const auto part = static_cast<int64_t>(memory.size()) / threads;
-  std::vector<uint64_t> sums(static_cast<size_t>(threads));
-  for (int repeat = 0; repeat < 3; ++repeat) {
-    const auto begin = std::chrono::steady_clock::now();
-#pragma omp parallel num_threads(threads)
-    {
-      const int64_t t = omp_get_thread_num();
-      uint64_t sum = 0;
-      for (int64_t i = t * part; i < (t + 1) * part; ++i) sum += memory[static_cast<size_t>(i)];
-      sums[static_cast<size_t>(t)] += sum;
-    }
-    const double bytes = 8.0 * static_cast<double>(part) * threads;
-    limits.gigabytes_per_second = std::max(limits.gigabytes_per_second, 1e-9 * bytes / seconds_since(begin));
-  }
-  // Looked at, so that the loops are not dropped.
-  if (sums[0] == 0 && sinks[0] == 0.0F) limits.gflops = 0.0;
-  return limits;
+Machine measure_machine() {
+  return {.gflops = measure_gflops(),
+          .gigabytes_per_second = measure_copy(),
+          .instruction_set = HWY_DYNAMIC_DISPATCH(name)()};
 }
 
 }  // namespace opaline::bench
+#endif

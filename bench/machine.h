@@ -1,15 +1,17 @@
-// What the machine can do at most: the yardsticks that benchmarks are held against.
+// What the machine can do, measured: the marks that operations are held against.
 #pragma once
+
+#include <string>
 
 namespace opaline::bench {
 
-struct MachineLimits {
-  double gflops = 0;                ///< float32 fused multiply-adds (two operations each), all threads
-  double gigabytes_per_second = 0;  ///< of streaming reads from memory, all threads
-  const char* instruction_set = "";
+struct Machine {
+  double gflops = 0.0;                ///< float32 fused multiply-adds on all threads, two operations each
+  double gigabytes_per_second = 0.0;  ///< copy of arrays far larger than the caches, bytes read and written
+  std::string instruction_set;        ///< as Highway names it
 };
 
-/// Measures both with the threads in force (about half a second).
-MachineLimits measure_machine();
+/// Best of a few runs, with the threads that parallel_for uses. Takes about a second.
+Machine measure_machine();
 
 }  // namespace opaline::bench

@@ -15,9 +15,9 @@
 namespace opaline::fuzz {
 namespace {
 
-constexpr uint32_t kMutants = 4000;  // a target
-constexpr double kSeconds = 2.0;     // processor time of one input
-constexpr int64_t kMegabytes = 512;  // growth of the process over all inputs
+constexpr uint32_t kMutants = 30000;  // a target
+constexpr double kSeconds = 2.0;      // processor time of one input
+constexpr int64_t kMegabytes = 512;   // growth of the process over all inputs
 constexpr size_t kMaxBytes = 1 << 16;
 
 double processor_seconds() {
