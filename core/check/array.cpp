@@ -37,4 +37,8 @@ double relative_error(const Array& actual, const Array& expected, double floor) 
   return worst;
 }
 
+void include_error(double& worst, double error) {
+  if (!std::isnan(worst) && !(error <= worst)) worst = error;
+}
+
 }  // namespace opaline::check

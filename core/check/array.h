@@ -52,4 +52,7 @@ double largest_magnitude(const Array& array);
 /// shapes differ.
 double relative_error(const Array& actual, const Array& expected, double floor = 0.0);
 
+/// Keeps the worst of errors; NaN is the worst of all and stays.
+void include_error(double& worst, double error);
+
 }  // namespace opaline::check

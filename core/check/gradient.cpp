@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/check/array.h"
 #include "core/random.h"
 
 namespace opaline::check {
@@ -109,7 +110,7 @@ class LeafCheck {
       if (draw > 0) ++result_.redrawn;
       error = error_of_draw(draw);
     }
-    if (!(error <= result_.error)) result_.error = error;
+    include_error(result_.error, error);
   }
 
   double direction_error(int draw) {

@@ -24,11 +24,6 @@ double gradient_floor(const CaseRun& run) {
   return kFloor * largest;
 }
 
-/// Keeps the worst of errors, NaN being the worst of all.
-void include(double& worst, double error) {
-  if (!(error <= worst)) worst = error;
-}
-
 std::vector<Tensor> updated_inputs(const OpCase& op_case, std::span<const Tensor> inputs) {
   std::vector<Tensor> updated;
   for (size_t i = 0; i < inputs.size(); ++i) {
@@ -58,7 +53,7 @@ double tensor_golden_error(const OpCase& op_case, const std::string& what, const
   Array norm{Shape{}};
   norm[0] = std::sqrt(squares);
   double worst = relative_error(sample, Array(find(key + ".sample")), floor);
-  include(worst, relative_error(norm, Array(find(key + ".norm")), floor));
+  include_error(worst, relative_error(norm, Array(find(key + ".norm")), floor));
   return worst;
 }
 
@@ -91,7 +86,7 @@ double reference_error(const OpCase& op_case, const CaseRun& run) {
     fail(op_case.name, "updates {} inputs, its reference {}", run.updated.size(), expected.updated.size());
   }
   for (size_t i = 0; i < run.updated.size(); ++i) {
-    include(worst, relative_error(Array(run.updated[i]), expected.updated[i]));
+    include_error(worst, relative_error(Array(run.updated[i]), expected.updated[i]));
   }
   return worst;
 }
@@ -101,7 +96,7 @@ double gradient_difference(const CaseRun& run, const CaseRun& expected) {
   double worst = 0.0;
   for (size_t i = 0; i < run.gradients.size(); ++i) {
     if (!run.gradients[i].defined()) continue;
-    include(worst, relative_error(Array(run.gradients[i]), Array(expected.gradients[i]), floor));
+    include_error(worst, relative_error(Array(run.gradients[i]), Array(expected.gradients[i]), floor));
   }
   return worst;
 }
@@ -136,11 +131,12 @@ double golden_error(const OpCase& op_case, const CaseRun& run, const TensorMap& 
   for (size_t i = 0; i < op_case.inputs.size(); ++i) {
     const InputSpec& spec = op_case.inputs[i];
     if (spec.differentiable) {
-      include(worst, tensor_golden_error(op_case, "grad." + spec.name, run.gradients[i], floor, golden));
+      include_error(worst,
+                    tensor_golden_error(op_case, "grad." + spec.name, run.gradients[i], floor, golden));
     }
     if (spec.updated) {
-      include(worst,
-              tensor_golden_error(op_case, "updated." + spec.name, run.updated[updated++], 0.0, golden));
+      include_error(
+          worst, tensor_golden_error(op_case, "updated." + spec.name, run.updated[updated++], 0.0, golden));
     }
   }
   return worst;

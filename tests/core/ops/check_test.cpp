@@ -64,7 +64,7 @@ TEST_CASE("the gradient check sees a wrong gradient") {
   CHECK(std::isnan(worst_error(kNan, 3)));
 }
 
-TEST_CASE("a probe across a kink is drawn again, and one that finds no smooth place fails") {
+TEST_CASE("a probe across a kink is drawn again, and one at a kink fails") {
   const auto check = [](const Fill& fill) {
     const OpCase op_case{.name = "relu/kinks",
                          .inputs = {{.name = "x", .shape = {40}, .fill = fill}},
@@ -76,7 +76,8 @@ TEST_CASE("a probe across a kink is drawn again, and one that finds no smooth pl
   const GradientError near = check(fill::values({1e-6, 1.0, -1.0}));
   CHECK(near.redrawn > 0);
   CHECK(near.error < 1e-6);
-  CHECK(std::isnan(check(fill::values({0.0})).error));
+  // At the kink itself every step sees half a slope.
+  CHECK(!(check(fill::values({0.0})).error <= 1e-1));
 }
 
 TEST_CASE("the comparison with a reference sees a wrong value") {
