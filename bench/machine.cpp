@@ -20,11 +20,14 @@ namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
 /// `rounds` times twelve independent fused multiply-adds: enough to fill two pipelines of latency four to
-/// six. Returns something that depends on all of them, so that none is left out.
+/// six. Each starts elsewhere, or the compiler would compute equal ones once. Returns something that depends
+/// on all of them, so that none is left out.
 HWY_ATTR float multiply_adds(int64_t rounds) {
   const hn::ScalableTag<float> d;
   const auto a = hn::Set(d, 0.999F), b = hn::Set(d, 1e-3F);
-  auto x0 = a, x1 = b, x2 = a, x3 = b, x4 = a, x5 = b, x6 = a, x7 = b, x8 = a, x9 = b, x10 = a, x11 = b;
+  const auto start = [&](int i) HWY_ATTR { return hn::Set(d, 0.1F * static_cast<float>(i)); };
+  auto x0 = start(0), x1 = start(1), x2 = start(2), x3 = start(3), x4 = start(4), x5 = start(5),
+       x6 = start(6), x7 = start(7), x8 = start(8), x9 = start(9), x10 = start(10), x11 = start(11);
   for (int64_t i = 0; i < rounds; ++i) {
     x0 = hn::MulAdd(x0, a, b);
     x1 = hn::MulAdd(x1, a, b);
