@@ -127,6 +127,7 @@ cp -r "$folder/whole" "$folder/torn"
 largest=$(stat -c %s "$folder"/whole/checkpoints/step-70/optimizer.safetensors)
 for kib in 1 40 $((largest / 2048)) $((largest / 1024)); do
   code=0
+  rm -rf "$folder/torn/checkpoints/step-70"
   (ulimit -c 0; ulimit -f $kib; "$opaline" resume "$folder/torn" --from "$folder/torn/checkpoints/step-65") \
     >"$folder/log" 2>&1 || code=$?
   [[ $code -ge 1 ]] || die "a file limit of $kib KiB was not met"
