@@ -59,8 +59,14 @@ double tensor_golden_error(const OpCase& op_case, const std::string& what, const
 
 }  // namespace
 
-CaseRun run_case(const OpCase& op_case, DType dtype) {
-  const std::vector<Tensor> inputs = make_inputs(op_case, dtype);
+CaseRun run_case(const OpCase& op_case, DType dtype, double scale) {
+  std::vector<Tensor> inputs = make_inputs(op_case, dtype);
+  for (Tensor& input : inputs) {
+    if (scale == 1.0 || !input.requires_grad()) continue;
+    dispatch_floating(op_case.name, dtype, [&]<class T>() {
+      for (T& v : input.values<T>()) v *= static_cast<T>(scale);
+    });
+  }
   CaseRun run;
   const Tensor y = op_case.forward(inputs);
   run.y = y.detach();
