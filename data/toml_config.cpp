@@ -412,19 +412,6 @@ TomlTable TomlTable::table(std::string_view key) const {
   return {config_, std::move(path)};
 }
 
-void TomlTable::take_unread(std::string_view key) const {
-  TomlConfig::State& state = *config_->state_;
-  const toml::node* node =
-      state.ask(path_, key);  // its own keys are looked at only where a getter asked for one
-  if (node == nullptr) return;
-  if (const toml::table* table = node->as_table()) {
-    state.resolve(path_, key, *table);
-  } else {
-    state.problem(path_, key, node,
-                  fmt::format("'{}' must be a table, not {}", dotted(path_, key), kind_of(*node)));
-  }
-}
-
 bool TomlTable::has(std::string_view key) const {
   return config_->state_->peek(path_, key) != nullptr;
 }

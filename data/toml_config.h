@@ -52,8 +52,6 @@ class TomlTable {
   /// The sub-table of that name; an absent one reads as empty.
   TomlTable table(std::string_view key) const;
   bool has(std::string_view key) const;
-  /// Takes a table that another reader checks: none of its keys is unknown, and it is resolved as it stands.
-  void take_unread(std::string_view key) const;
 
   /// Records a problem of this key that a getter cannot see (such as one key contradicting another).
   void error(std::string_view key, std::string_view message) const;

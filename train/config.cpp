@@ -142,7 +142,6 @@ RunConfig read_config(TomlConfig config) {
   run.stages[0] = read_stage(root.table("stage1"));
   run.stages[1] = read_stage(root.table("stage2"));
   run.loss = read_loss(root.table("loss"));
-  root.take_unread("render");
   config.finish();
   run.text = config.resolved();
   return run;

@@ -62,6 +62,40 @@ TEST_CASE("the resolved config reads back as itself") {
   CHECK(config_differences(config.text, again.text).empty());
 }
 
+TEST_CASE("the table of rendering is read, resolved, and free to change") {
+  const RunConfig config = parse_run_config("[render]\ntrain = 8\n[model]\nwidth = 8\n", "test.toml");
+  CHECK_THAT(config.text, Contains("[render]") && Contains("train = 8"));
+  CHECK_THAT(config.text, Contains("photons = "));  // not given: its default is resolved like any other
+  CHECK(parse_run_config(config.text, "again.toml").text == config.text);
+  CHECK(config_differences(config.text, parse_run_config("[model]\nwidth = 8\n", "test.toml").text).empty());
+  CHECK_THAT(error_of("render = 3\n"), Contains("must be a table"));
+  CHECK_THAT(error_of("[rendre]\ntrain = 8\n"), Contains("rendre") && Contains("did you mean 'render'?"));
+}
+
+TEST_CASE("the configs of the tree can be read") {
+  const std::filesystem::path configs = std::filesystem::path(OPALINE_SOURCE_DIR) / "configs";
+  for (const char* const name : {"quick", "small", "paper", "release"}) {
+    INFO(name);
+    const RunConfig config = load_run_config(configs / (std::string(name) + ".toml"));
+    CHECK(config.warnings.empty());
+    CHECK(config.train.micro_batch >= 16);
+    const bool full = config.model.image_size == 256 && config.model.width == 64;
+    CHECK(full == (name == std::string("paper") || name == std::string("release")));
+    CHECK((config.model.variant == Variant::kRelease) == (name == std::string("release")));
+  }
+}
+
+TEST_CASE("an array over several lines is compared element by element") {
+  std::string names;
+  for (int i = 0; i < 8; ++i) names += "'illumination_decoder', 'reconstruction', ";
+  const RunConfig a = parse_run_config("[stage2]\nfreeze = [" + names + "'depth']\n", "a");
+  const RunConfig b = parse_run_config("[stage2]\nfreeze = [" + names + "'normal']\n", "b");
+  REQUIRE_THAT(a.text, Contains("freeze = [\n"));
+  const auto lines = config_differences(a.text, b.text);
+  REQUIRE(lines.size() == 1);
+  CHECK_THAT(lines[0], Contains("stage2.freeze") && Contains("'depth'") && Contains("'normal'"));
+}
+
 TEST_CASE("all errors come at once, each with its line and what may have been meant") {
   const std::string error = error_of(
       "[model]\n"

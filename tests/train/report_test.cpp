@@ -1,7 +1,10 @@
 // Charts, pictures and evaluation against values worked out by hand.
+#include <algorithm>
 #include <catch2/catch.hpp>
+#include <cmath>
 #include <cstring>
 
+#include "core/autograd.h"
 #include "core/error.h"
 #include "tests/train/synthetic.h"
 #include "train/chart.h"
@@ -105,6 +108,81 @@ TEST_CASE("evaluation does not depend on the batch, and its JSON has the contrac
     CHECK(json.at("ci95").at(key)[0] <= json.at(key));
   }
   CHECK_THAT(format_table(summarize(one)), Contains("training mean") && Contains("5 scenes"));
+}
+
+TEST_CASE("the numbers of one scene are those that its maps give by hand") {
+  const auto dataset =
+      std::make_shared<test::SyntheticDataset>(test::SyntheticOptions{.train = 1, .test = 1});
+  const MeanPredictor mean = fit_mean_predictor(*dataset);
+  Cascade cascade(
+      {.network = {.variant = Variant::kPaper, .input_channels = 19, .image_size = 32, .width = 4},
+       .stage = 2,
+       .reconstruction = false});
+  cascade.initialize(3);
+  const EvaluationSummary summary =
+      summarize(evaluate(cascade, dataset, EncodeOptions::paper(), &mean, {.batch = 1}));
+  REQUIRE(summary.n == 1);
+
+  const Scene scene = dataset->load(Split::kTest, 0, {});
+  const Scene train = dataset->load(Split::kTrain, 0, {});
+  const Sample sample = encode_scene(scene, EncodeOptions::paper());
+  const NoGradGuard no_grad;
+  const CascadeOutput out = cascade.forward({.image = make_batch({&sample, 1}).input, .bsdf = {}}, {});
+  const std::span<const float> n = std::as_const(out.normal).values<float>();
+  const std::span<const float> d = std::as_const(out.depth).values<float>();
+  const std::span<const float> p = std::as_const(out.sss).values<float>();
+
+  double pixels = 0, normal = 0, angle = 0, depth = 0, mean_normal = 0, mean_angle = 0;
+  double low = 1e9, high = -1e9, true_low = 1e9, true_high = -1e9;
+  for (size_t i = 0; i < scene.mask.size(); ++i) {
+    if (scene.mask[i] == 0) continue;
+    low = std::min<double>(low, d[i]);
+    high = std::max<double>(high, d[i]);
+    true_low = std::min<double>(true_low, scene.depth[i]);
+    true_high = std::max<double>(true_high, scene.depth[i]);
+  }
+  for (size_t i = 0; i < scene.mask.size(); ++i) {
+    if (scene.mask[i] == 0) continue;
+    pixels += 1;
+    double dot = 0, length = 0, mean_dot = 0;
+    for (size_t c = 0; c < 3; ++c) {
+      const double truth = scene.normal[3 * i + c];
+      // With one training scene its map is the mean; where it has no object, the normal faces the camera.
+      const double other = train.mask[i] != 0 ? train.normal[3 * i + c] : (c == 2 ? 1.0 : 0.0);
+      normal += std::abs((n[3 * i + c] + 1) / 2 - (truth + 1) / 2) / 3;
+      mean_normal += std::abs(other - truth) / 2 / 3;
+      dot += n[3 * i + c] * truth;
+      length += n[3 * i + c] * n[3 * i + c];
+      mean_dot += other * truth;
+    }
+    angle += std::acos(std::clamp(dot / std::sqrt(length), -1.0, 1.0)) * 180 / M_PI;
+    mean_angle += std::acos(std::clamp(mean_dot, -1.0, 1.0)) * 180 / M_PI;
+    depth += std::abs((d[i] - low) / (high - low) - (scene.depth[i] - true_low) / (true_high - true_low));
+  }
+  double sigma_t = 0, albedo = 0, mean_sigma_t = 0, mean_albedo = 0;
+  for (size_t c = 0; c < 3; ++c) {
+    sigma_t += std::abs((p[1 + c] + 1) / 2 - (*scene.sigma_t)[c] / 32) / 3;
+    albedo += std::abs(0.3 + 0.65 * (p[4 + c] + 1) / 2 - (*scene.albedo)[c]) / 3;
+    mean_sigma_t += std::abs((*train.sigma_t)[c] - (*scene.sigma_t)[c]) / 32 / 3;
+    mean_albedo += std::abs((*train.albedo)[c] - (*scene.albedo)[c]) / 3;
+  }
+  const double g = std::abs(0.9 * (p[0] + 1) / 2 - *scene.g);
+
+  const auto json = to_json(summary);
+  const auto release = json.at("release");
+  const auto mean_of = json.at("mean_predictor");
+  const auto near = [](double value) { return Approx(value).epsilon(1e-4); };
+  CHECK(release.at("normal").get<double>() == near(normal / pixels));
+  CHECK(release.at("depth").get<double>() == near(depth / pixels));
+  CHECK(release.at("sigma_t").get<double>() == near(sigma_t));
+  CHECK(release.at("albedo").get<double>() == near(albedo));
+  CHECK(release.at("g").get<double>() == near(g));
+  CHECK(json.at("angular_degrees").get<double>() == near(angle / pixels));
+  CHECK(mean_of.at("release").at("normal").get<double>() == near(mean_normal / pixels));
+  CHECK(mean_of.at("release").at("sigma_t").get<double>() == near(mean_sigma_t));
+  CHECK(mean_of.at("release").at("albedo").get<double>() == near(mean_albedo));
+  CHECK(mean_of.at("release").at("g").get<double>() == near(std::abs(*train.g - *scene.g)));
+  CHECK(mean_of.at("angular_degrees").get<double>() == Approx(mean_angle / pixels).epsilon(1e-3));
 }
 
 }  // namespace
