@@ -68,7 +68,9 @@ std::string_view kind_of(const toml::node& node) {
 
 /// Merges `from` into `to`; values of `from` win, tables are joined.
 void merge(toml::table& to, const toml::table& from) {
-  for (const auto& [key, node] : from) {
+  for (const auto& entry : from) {
+    const toml::key& key = entry.first;  // names, not bindings: a lambda below captures one
+    const toml::node& node = entry.second;
     toml::node* existing = to.get(key.str());
     if (existing != nullptr && existing->is_table() && node.is_table()) {
       merge(*existing->as_table(), *node.as_table());

@@ -2,6 +2,7 @@
 # Installs what opaline needs from Debian 12's packages. Does nothing, and needs no rights, where all is there.
 #   scripts/setup.sh            build, test and run
 #   scripts/setup.sh --peers    also what the comparisons with PyTorch need
+#   scripts/setup.sh --fuzz     also what the libFuzzer programs need (tests/fuzz/CMakeLists.txt)
 set -euo pipefail
 
 packages=(
@@ -13,8 +14,10 @@ packages=(
 if [[ "${1:-}" == "--peers" ]]; then
   # OpenBLAS: with the reference BLAS that PyTorch would pull in, the comparison takes three times as long.
   packages+=(python3-torch python3-numpy libopenblas0-pthread)
+elif [[ "${1:-}" == "--fuzz" ]]; then
+  packages+=(clang libclang-rt-14-dev libomp-dev)
 elif [[ $# -gt 0 ]]; then
-  echo "usage: scripts/setup.sh [--peers]" >&2
+  echo "usage: scripts/setup.sh [--peers | --fuzz]" >&2
   exit 2
 fi
 
