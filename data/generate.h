@@ -5,29 +5,10 @@
 #include <filesystem>
 #include <functional>
 
-#include "data/render/scene.h"
-#include "data/toml_config.h"
+#include "data/generate_config.h"
+#include "data/render/path.h"
 
 namespace opaline {
-
-/// The table [render] of a config.
-struct GenerateConfig {
-  int64_t train = 0;  ///< scenes
-  int64_t test = 0;
-  uint64_t seed = 1;
-  render::Camera camera{};
-  render::SceneRanges ranges{};
-  int64_t spp = 32;  ///< samples a pixel
-  render::BsdfReading bsdf = render::BsdfReading::kClear;
-  int64_t photons = 8192;  ///< light sub-paths of a scene's guide
-
-  /// Every key above that decides what a scene looks like, as TOML lines: what a resumed run is compared
-  /// with.
-  std::string text() const;
-};
-
-/// Reads the table; problems are recorded in the config that it belongs to.
-GenerateConfig read_generate_config(const TomlTable& table);
 
 struct GenerateOptions {
   /// Told after each scene: how many of all are there now.

@@ -9,10 +9,10 @@
 #include "core/file.h"
 #include "data/encode.h"
 #include "data/exr.h"
+#include "data/picture.h"
 #include "data/scene_set.h"
 #include "nn/state.h"
 #include "train/fit_scene.h"
-#include "train/picture.h"
 
 namespace opaline {
 namespace {

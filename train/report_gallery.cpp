@@ -4,8 +4,8 @@
 #include <numeric>
 
 #include "core/autograd.h"
+#include "data/picture.h"
 #include "train/chart.h"
-#include "train/picture.h"
 #include "train/report_parts.h"
 
 namespace opaline::report {

@@ -6,10 +6,10 @@
 
 #include "core/autograd.h"
 #include "core/error.h"
+#include "data/picture.h"
 #include "tests/train/synthetic.h"
 #include "train/chart.h"
 #include "train/evaluate.h"
-#include "train/picture.h"
 #include "train/progress.h"
 
 namespace opaline {

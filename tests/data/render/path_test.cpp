@@ -6,7 +6,7 @@
 
 #include "core/error.h"
 #include "data/render/mueller.h"
-#include "data/render/scene.h"
+#include "data/render/render.h"
 #include "data/render/validate.h"
 
 using namespace opaline;

@@ -1,4 +1,4 @@
-#include "data/render/scene.h"
+#include "data/render/render.h"
 
 #include <catch2/catch.hpp>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "train/picture.h"
+#include "data/picture.h"
 
 #include <algorithm>
 #include <cmath>

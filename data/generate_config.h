@@ -1,0 +1,31 @@
+// What a data set is rendered from: the table [render] of a config.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "data/render/render.h"
+#include "data/toml_config.h"
+
+namespace opaline {
+
+/// The table [render] of a config.
+struct GenerateConfig {
+  int64_t train = 0;  ///< scenes
+  int64_t test = 0;
+  uint64_t seed = 1;
+  render::Camera camera{};
+  render::SceneRanges ranges{};
+  int64_t spp = 32;  ///< samples a pixel
+  render::BsdfReading bsdf = render::BsdfReading::kClear;
+  int64_t photons = 8192;  ///< light sub-paths of a scene's guide
+
+  /// Every key above that decides what a scene looks like, as TOML lines: what a resumed run is compared
+  /// with.
+  std::string text() const;
+};
+
+/// Reads the table; problems are recorded in the config that it belongs to.
+GenerateConfig read_generate_config(const TomlTable& table);
+
+}  // namespace opaline
