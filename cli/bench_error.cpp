@@ -104,14 +104,16 @@ Reference ErrorMeter::reference(int64_t spp, int64_t renders) {
   return result;
 }
 
-ErrorPoint ErrorMeter::measure(const Reference& reference, render::RenderOptions options, int64_t renders) {
-  ErrorPoint point{.spp = options.spp, .renders = renders};
+ErrorPoint ErrorMeter::measure(const Reference& reference, const Setting& setting) {
+  ErrorPoint point;
+  point.setting = setting;
+  point.samples = static_cast<double>(setting.options.spp);
   std::vector<double> cpu, wall;
   std::array<double, 4> sum{}, squares{};
-  for (int64_t k = 0; k < renders; ++k) {
+  for (int64_t k = 0; k < setting.renders; ++k) {
     const auto begin = std::chrono::steady_clock::now();
     const double cpu_begin = process_seconds();
-    const render::SceneRender image = render(options);
+    const render::SceneRender image = render(setting.options);
     cpu.push_back(process_seconds() - cpu_begin);
     wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
     const std::array<double, 4> errors = compare(image, reference).all();
@@ -122,10 +124,10 @@ ErrorPoint ErrorMeter::measure(const Reference& reference, render::RenderOptions
     rendered_();
   }
   point.cost = {median(cpu), median(wall)};
-  const auto n = static_cast<double>(renders);
+  const auto n = static_cast<double>(setting.renders);
   for (size_t i = 0; i < sum.size(); ++i) {
     point.mse[i] = sum[i] / n;
-    if (renders > 1) {
+    if (setting.renders > 1) {
       const double variance = std::max(0.0, squares[i] - n * point.mse[i] * point.mse[i]) / (n - 1.0);
       point.standard_error[i] = std::sqrt(variance / n);
     }
@@ -133,11 +135,11 @@ ErrorPoint ErrorMeter::measure(const Reference& reference, render::RenderOptions
   return point;
 }
 
-double error_slope(std::span<const ErrorPoint> points, size_t error) {
+double error_slope(std::span<const ErrorPoint> points, size_t error, bool over_samples) {
   double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0;
   for (const ErrorPoint& point : points) {
     if (!(point.mse[error] > 0.0 && point.cost.cpu > 0.0)) continue;
-    const double u = std::log(point.cost.cpu), v = std::log(point.mse[error]);
+    const double u = std::log(over_samples ? point.samples : point.cost.cpu), v = std::log(point.mse[error]);
     n += 1.0;
     x += u;
     y += v;

@@ -5,7 +5,9 @@
 #include <cstdint>
 #include <functional>
 #include <span>
+#include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "data/render/render.h"
@@ -40,10 +42,17 @@ struct Errors {
 };
 inline constexpr std::array<std::string_view, 4> kErrorNames = {"S0", "S1", "S2", "S0 clipped"};
 
-/// One count of samples, rendered several times.
+/// What is rendered, and how often.
+struct Setting {
+  std::string name;  ///< as tables have it
+  render::RenderOptions options{};
+  int64_t renders = 4;
+};
+
+/// A setting's result.
 struct ErrorPoint {
-  int64_t spp = 0;
-  int64_t renders = 0;
+  Setting setting;
+  double samples = 0;                      ///< a pixel
   Cost cost{};                             ///< of one render, median; with everything that is prepared for it
   std::array<double, 4> mse{};             ///< mean, in the order of kErrorNames
   std::array<double, 4> standard_error{};  ///< of that mean, from the spread of the renders
@@ -62,7 +71,7 @@ class ErrorMeter {
 
   /// `renders` renders of spp / renders samples each.
   Reference reference(int64_t spp, int64_t renders);
-  ErrorPoint measure(const Reference& reference, render::RenderOptions options, int64_t renders);
+  ErrorPoint measure(const Reference& reference, const Setting& setting);
 
  private:
   render::SceneRender render(render::RenderOptions options);
@@ -74,9 +83,10 @@ class ErrorMeter {
   std::function<void()> rendered_;
 };
 
-/// Slope of log MSE over log CPU time, by least squares: -1 for a Monte Carlo estimate without bias whose
-/// preparations cost nothing. NaN with fewer than two positive errors.
-double error_slope(std::span<const ErrorPoint> points, size_t error);
+/// Slope of log MSE over the logarithm of CPU time or of samples, by least squares: -1 for an estimate
+/// without bias from independent samples. Over time it is steeper where preparing takes its share, over
+/// samples where they are stratified. NaN with fewer than two positive errors.
+double error_slope(std::span<const ErrorPoint> points, size_t error, bool over_samples);
 
 /// Geometric mean of the points' efficiencies.
 double mean_efficiency(std::span<const ErrorPoint> points, size_t error);

@@ -47,13 +47,16 @@ void export_bench_scene(const BenchScene& scene, const render::Camera& camera, c
 
   render::Illumination light;
   scene.light(light);
-  std::vector<double> s0, variance;
-  std::vector<int> covered;
-  for (size_t pixel = 0; pixel < reference.covered.size(); ++pixel) {
-    s0.push_back(reference.mean[9 * pixel]);
-    variance.push_back(reference.variance[9 * pixel]);
-    covered.push_back(reference.covered[pixel] ? 1 : 0);
+  nlohmann::ordered_json values = {{"spp", reference.spp}};
+  for (size_t i = 0; i < 3; ++i) {
+    std::vector<double> mean, variance;
+    for (size_t pixel = 0; pixel < reference.covered.size(); ++pixel) {
+      mean.push_back(reference.mean[9 * pixel + 3 * i]);
+      variance.push_back(reference.variance[9 * pixel + 3 * i]);
+    }
+    values[fmt::format("S{}", i)] = {{"mean", mean}, {"variance", variance}};
   }
+  for (const bool covered : reference.covered) values["covered"].push_back(covered ? 1 : 0);
   const nlohmann::ordered_json json = {
       {"name", scene.name},
       {"mesh", "body.ply"},
@@ -71,7 +74,7 @@ void export_bench_scene(const BenchScene& scene, const render::Camera& camera, c
        {{"centre", to_json(light.flash.centre)},
         {"radius", light.flash.radius},
         {"radiance", light.flash.radiance}}},
-      {"reference", {{"spp", reference.spp}, {"S0", s0}, {"variance", variance}, {"covered", covered}}}};
+      {"reference", values}};
   write_file_atomically(folder / fmt::format("{}.json", scene.name), json.dump());
 }
 

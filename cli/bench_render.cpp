@@ -58,15 +58,21 @@ struct SceneResult {
   std::vector<SavingResult> savings;
 };
 
-int64_t renders_of(const Arguments& a, int64_t spp) {
-  return a.repeats > 0 ? a.repeats : std::clamp<int64_t>(256 / spp, 4, 16);
+/// What every scene is rendered with.
+std::vector<Setting> settings_of(const Arguments& a) {
+  std::vector<Setting> settings;
+  for (const int64_t spp : a.spp) {
+    const int64_t renders = a.repeats > 0 ? a.repeats : std::clamp<int64_t>(256 / spp, 4, 16);
+    settings.push_back({.name = fmt::format("{}", spp), .options = {.spp = spp}, .renders = renders});
+  }
+  return settings;
 }
 
-/// The count of `a.spp` that savings are measured at.
-size_t savings_index(const Arguments& a) {
+/// The setting that savings are switched off in.
+size_t savings_index(std::span<const Setting> settings) {
   size_t best = 0;
-  for (size_t i = 0; i < a.spp.size(); ++i) {
-    if (a.spp[i] <= kSavingsSpp && (a.spp[best] > kSavingsSpp || a.spp[i] > a.spp[best])) best = i;
+  for (size_t i = 1; i < settings.size(); ++i) {
+    if (settings[i].options.spp <= kSavingsSpp) best = i;
   }
   return best;
 }
@@ -91,15 +97,14 @@ SceneResult run_scene(const BenchScene& scene, const render::Camera& camera, con
   if (result.reference.pixels == 0) {
     fail_usage("bench render", "at --size {} the body of '{}' fills no pixel", a.size, scene.name);
   }
-  for (const int64_t spp : a.spp) {
-    result.points.push_back(meter.measure(result.reference, {.spp = spp}, renders_of(a, spp)));
-  }
+  const std::vector<Setting> settings = settings_of(a);
+  for (const Setting& setting : settings) result.points.push_back(meter.measure(result.reference, setting));
   if (a.no_savings) return result;
-  const ErrorPoint& with = result.points[savings_index(a)];
+  const ErrorPoint& with = result.points[savings_index(settings)];
   for (const Saving& saving : savings()) {
-    render::RenderOptions options{.spp = with.spp};
-    saving.off(options);
-    SavingResult without{saving.name, meter.measure(result.reference, options, with.renders), {}};
+    Setting setting = with.setting;
+    saving.off(setting.options);
+    SavingResult without{saving.name, meter.measure(result.reference, setting), {}};
     for (size_t i = 0; i < without.gain.size(); ++i) {
       const double off = without.off.efficiency()[i];
       without.gain[i] = off > 0.0 ? with.efficiency()[i] / off : 0.0;
@@ -112,25 +117,26 @@ SceneResult run_scene(const BenchScene& scene, const render::Camera& camera, con
 void print_scene(const SceneResult& result) {
   fmt::print("{}: {}; {} pixels, mean S0 {:.4g}, reference of {} samples\n", result.scene->name,
              result.scene->text, result.reference.pixels, result.reference.mean_s0(), result.reference.spp);
-  fmt::print("  {:>7} {:>9} {:>9}", "samples", "CPU s", "wall s");
+  fmt::print("  {:>10} {:>9} {:>9}", "samples", "CPU s", "wall s");
   for (const std::string_view name : kErrorNames) fmt::print("  {:>19}", fmt::format("MSE {}", name));
   for (size_t i = 0; i < 3; ++i) fmt::print("  {:>9}", fmt::format("eff. {}", kErrorNames[i]));
   fmt::print("\n");
   for (const ErrorPoint& point : result.points) {
-    fmt::print("  {:>7} {:>9.4f} {:>9.4f}", point.spp, point.cost.cpu, point.cost.wall);
+    fmt::print("  {:>10} {:>9.4f} {:>9.4f}", point.setting.name, point.cost.cpu, point.cost.wall);
     for (size_t i = 0; i < kErrorNames.size(); ++i) {
       fmt::print("  {:>19}", fmt::format("{:.3e} +- {:.0e}", point.mse[i], point.standard_error[i]));
     }
     for (size_t i = 0; i < 3; ++i) fmt::print("  {:>9.3g}", point.efficiency()[i]);
     fmt::print("\n");
   }
-  fmt::print("  slope of log MSE over log CPU time:");
+  fmt::print("  slope of log MSE over log CPU time (samples):");
   for (size_t i = 0; i < kErrorNames.size(); ++i) {
-    fmt::print("  {} {:.2f}", kErrorNames[i], error_slope(result.points, i));
+    fmt::print("  {} {:.2f} ({:.2f})", kErrorNames[i], error_slope(result.points, i, false),
+               error_slope(result.points, i, true));
   }
   fmt::print("\n");
   for (const SavingResult& saving : result.savings) {
-    fmt::print("  {} on / off at {} samples: efficiency", saving.name, saving.off.spp);
+    fmt::print("  {} on / off at {}: efficiency", saving.name, saving.off.setting.name);
     for (size_t i = 0; i < kErrorNames.size(); ++i)
       fmt::print("  {} x{:.3g}", kErrorNames[i], saving.gain[i]);
     fmt::print("\n");
@@ -161,8 +167,9 @@ nlohmann::ordered_json to_json(const std::array<double, 4>& values) {
 }
 
 nlohmann::ordered_json to_json(const ErrorPoint& point) {
-  return {{"spp", point.spp},
-          {"renders", point.renders},
+  return {{"name", point.setting.name},
+          {"samples", point.samples},
+          {"renders", point.setting.renders},
           {"cpu_s", point.cost.cpu},
           {"wall_s", point.cost.wall},
           {"mse", to_json(point.mse)},
@@ -180,12 +187,14 @@ nlohmann::ordered_json to_json(const std::vector<SceneResult>& results, const Ar
                                     {"mean_S0", result.reference.mean_s0()},
                                     {"reference_spp", result.reference.spp}};
     for (const ErrorPoint& point : result.points) scene["points"].push_back(to_json(point));
-    std::array<double, 4> slope{}, efficiency{};
+    std::array<double, 4> slope{}, sample_slope{}, efficiency{};
     for (size_t i = 0; i < slope.size(); ++i) {
-      slope[i] = error_slope(result.points, i);
+      slope[i] = error_slope(result.points, i, false);
+      sample_slope[i] = error_slope(result.points, i, true);
       efficiency[i] = mean_efficiency(result.points, i);
     }
-    scene["slope"] = to_json(slope);
+    scene["slope_over_cpu"] = to_json(slope);
+    scene["slope_over_samples"] = to_json(sample_slope);
     scene["efficiency"] = to_json(efficiency);
     for (const SavingResult& saving : result.savings) {
       scene["savings"].push_back(
@@ -252,10 +261,11 @@ void run_bench_render(Arguments a, bool spp_given, bool size_given) {
   const render::Camera camera{.width = a.size, .height = a.size};
   const std::vector<const BenchScene*> scenes = chosen_scenes(a);
 
+  const std::vector<Setting> settings = settings_of(a);
   int64_t renders = kReferenceRenders;
-  for (const int64_t spp : a.spp) renders += renders_of(a, spp);
+  for (const Setting& setting : settings) renders += setting.renders;
   if (!a.no_savings) {
-    renders += static_cast<int64_t>(savings().size()) * renders_of(a, a.spp[savings_index(a)]);
+    renders += static_cast<int64_t>(savings().size()) * settings[savings_index(settings)].renders;
   }
   Progress progress(default_progress());
   progress.start(0, renders * static_cast<int64_t>(scenes.size()));
