@@ -32,8 +32,11 @@ struct GuideOptions {
 class DirectionBins {
  public:
   static constexpr int kSide = 24;
-  static constexpr int kRows = 6 * kSide;
-  static constexpr int kCount = kRows * kSide;
+  static constexpr int kCount = 6 * kSide * kSide;
+  /// Square patches of kPatch x kPatch bins, numbered like sides with fewer bins. Bins of a patch follow each
+  /// other.
+  static constexpr int kPatch = 4;
+  static constexpr int kPatches = kCount / (kPatch * kPatch);
 
   /// The bin of the unit vector d, and the density there, per steradian, of directions that are uniform over
   /// the bin's part of the warped side.
@@ -44,6 +47,8 @@ class DirectionBins {
   static Place find(const Vec3& d);
   /// A direction in the bin, from two numbers in [0, 1).
   static Vec3 direction(int bin, double u, double v);
+  /// The middle of a patch.
+  static Vec3 patch_direction(int patch);
 };
 
 /// Safe to use from several threads.
@@ -55,11 +60,10 @@ class Guide {
   Guide(const World& world, const Illumination& light, const Vec3& low, const Vec3& high, Random random,
         const GuideOptions& options = {});
 
-  /// A unit direction from `position` towards light; false where none is known. `pick` in [0, 1) chooses the
-  /// bin.
-  bool sample(const Vec3& position, double pick, Random& random, Vec3& direction) const;
-  /// Density of that, per steradian; 0 where none is known.
-  double density(const Vec3& position, const Vec3& direction) const;
+  /// What a scattering at `position` of light that is to go along -`direction` (unit; where the path comes
+  /// from) should look at: the cell's light times the phase function of mean cosine g.
+  class Directions;
+  Directions directions(const Vec3& position, const Vec3& direction, double g) const;
 
   /// How many times denser light is than if it came evenly from all directions, on the average over light and
   /// cells: about 1 under a uniform sky, over 100 under the flash. Near 1 the phase function alone does as
@@ -68,12 +72,12 @@ class Guide {
 
  private:
   struct Cell {
-    std::array<float, DirectionBins::kCount> share;     // of the cell's light in each bin
-    std::array<float, DirectionBins::kRows> row_until;  // sum over rows up to and with this one
+    std::array<float, DirectionBins::kCount> share;    // of the cell's light in each bin
+    std::array<float, DirectionBins::kPatches> patch;  // sum over the bins of each patch
   };
   const Cell* find(const Vec3& position) const;
   int64_t cell_index(const Vec3& position) const;
-  void smooth(Cell& cell) const;
+  static void smooth(Cell& cell);
 
   Vec3 low_{};
   Vec3 cells_per_length_{};
@@ -81,6 +85,23 @@ class Guide {
   std::vector<int32_t> slots_;  // of the grid's cells in cells_, -1 where no light came
   std::deque<Cell> cells_;      // large and growing: never moved
   double concentration_ = 0.0;
+};
+
+/// A distribution over directions, for as long as its guide lives.
+class Guide::Directions {
+ public:
+  /// Whether there is any light to look at.
+  bool known() const { return cell_ != nullptr; }
+  /// A unit direction towards light. `pick` in [0, 1) chooses the patch of directions.
+  Vec3 sample(double pick, Random& random) const;
+  /// Density of that, per steradian; 0 where none is known.
+  double density(const Vec3& direction) const;
+
+ private:
+  friend class Guide;
+  const Cell* cell_ = nullptr;
+  std::array<float, DirectionBins::kPatches> weight_;  // of each patch
+  float total_ = 0.0F;
 };
 
 }  // namespace opaline::render

@@ -95,8 +95,8 @@ class Walker {
   void add_unscattered(Ray ray, Response<3> response, double length, double carried, StokesRgb& sum,
                        StokesRgb& clear);
   void add_scattered(Ray ray, Response<3> response, const FirstNumbers& first, StokesRgb& sum);
-  void connect(const Vec3& position, const Vec3& direction, const Rgb& beta, const Rgb& rows, double pick,
-               StokesRgb& sum);
+  void connect(const Vec3& position, const Vec3& direction, const Guide::Directions& guided, const Rgb& beta,
+               const Rgb& rows, double pick, StokesRgb& sum);
 
   const World& world_;
   Random& random_;
@@ -252,12 +252,11 @@ void Walker::add_unscattered(Ray ray, Response<3> response, double length, doubl
 }
 
 /// Light that finds its way to `position` without scattering, along a direction of the guide's.
-void Walker::connect(const Vec3& position, const Vec3& direction, const Rgb& beta, const Rgb& rows,
-                     double pick, StokesRgb& sum) {
-  Ray ray{.origin = position, .direction = {}, .inside = true};
-  if (!world_.guide->sample(position, pick, random_, ray.direction)) return;
+void Walker::connect(const Vec3& position, const Vec3& direction, const Guide::Directions& guided,
+                     const Rgb& beta, const Rgb& rows, double pick, StokesRgb& sum) {
+  Ray ray{.origin = position, .direction = guided.sample(pick, random_), .inside = true};
   const double phase = henyey_greenstein(dot(direction, ray.direction), world_.medium.g);
-  const double density = world_.guide->density(position, ray.direction);
+  const double density = guided.density(ray.direction);
   Response<1> response = scalar_response(ray.direction);
   double length = 0.0, weight = 1.0;
   const End end = follow(ray, response, length, weight);
@@ -285,12 +284,14 @@ void Walker::add_scattered(Ray ray, Response<3> camera, const FirstNumbers& firs
       if (random_.uniform() >= go_on) return;
       beta = scaled(beta, 1.0 / go_on);
     }
+    Guide::Directions guided;
     if (world_.guide != nullptr) {
-      connect(ray.origin, ray.direction, beta, rows, first_scattering ? first.light : random_.uniform(), sum);
+      guided = world_.guide->directions(ray.origin, ray.direction, world_.medium.g);
+      const double pick = first_scattering ? first.light : random_.uniform();
+      if (guided.known()) connect(ray.origin, ray.direction, guided, beta, rows, pick, sum);
     }
 
     const double cosine = sample_henyey_greenstein(random_.uniform(), world_.medium.g);
-    const Vec3 position = ray.origin;
     const Vec3 direction = around(ray.direction, cosine, 2.0 * std::numbers::pi * random_.uniform());
     ray.direction = direction;
     Response<1> response = scalar_response(direction);
@@ -298,11 +299,8 @@ void Walker::add_scattered(Ray ray, Response<3> camera, const FirstNumbers& firs
     length = 0.0;
     end = fly(ray, response, beta, length);
     if (end == End::kEscaped) {
-      double share = 1.0;
-      if (world_.guide != nullptr) {
-        share = phase_share(henyey_greenstein(cosine, world_.medium.g),
-                            world_.guide->density(position, direction), before, length);
-      }
+      const double phase = henyey_greenstein(cosine, world_.medium.g);
+      const double share = phase_share(phase, guided.density(direction), before, length);
       const Rgb light = product(world_.light->radiance(ray.origin, ray.direction), beta);
       add(sum, scaled(rows, share * response.pure[0][0]), light);
     }
