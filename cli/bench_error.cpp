@@ -44,7 +44,7 @@ Errors compare(const render::SceneRender& image, const Reference& reference) {
 }
 
 constexpr std::array<Saving, 1> kSavings = {{
-    {"guide", [](render::RenderOptions& options) { options.guide.photons = 0; }},
+    {"guide", [](render::RenderOptions& options) { options.savings.guide = false; }},
 }};
 
 }  // namespace

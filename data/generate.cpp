@@ -82,7 +82,7 @@ Rendered render_number(const GenerateConfig& config, int64_t number) {
     render::SceneRender made = render_scene(scene, config.camera,
                                             {.spp = config.spp,
                                              .bsdf = config.bsdf,
-                                             .guide = {.photons = config.photons},
+                                             .photons = config.photons,
                                              .seed = config.seed,
                                              .number = id});
     if (!render::well_framed(made.coverage, made.width, made.height)) {

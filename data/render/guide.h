@@ -23,7 +23,7 @@ class Illumination;
 struct World;
 
 struct GuideOptions {
-  int64_t photons = 131072;  ///< light sub-paths traced; 0: no guide
+  int64_t photons = 131072;  ///< light sub-paths traced; 0: none, which steers nowhere
   int64_t cells = 16;        ///< along each side of the grid
 };
 

@@ -16,6 +16,7 @@ constexpr uint32_t kPasses = 4;
 /// Light no denser than this (data/render/guide.h) needs no guide: refraction and extinction alone make up to
 /// 8 of a uniform sky.
 constexpr double kEven = 10.0;
+constexpr int64_t kFewestPhotons = 4096;
 /// Samples of pixels without the object, which only the environment's detail needs.
 constexpr int64_t kBackgroundSamples = 16;
 /// Scattered paths of a pixel at least: pilots may not have seen what is rare.
@@ -169,9 +170,16 @@ class Renderer {
     result_.coverage.resize(pixels);
     world_.bounded_queries = options.savings.bounded_queries;
     if (!world_.medium.empty() && options.savings.guide) {
-      guide_.emplace(world_, scene.light, scene.low, scene.high,
-                     Random(options.seed, Purpose::kRender, UINT32_MAX, options.number), options.guide);
-      if (!options.savings.guide_by_need || guide_->concentration() > kEven) world_.guide = &*guide_;
+      const Random random(options.seed, Purpose::kRender, UINT32_MAX, options.number);
+      const auto make = [&](int64_t count) {
+        guide_.emplace(world_, scene.light, scene.low, scene.high, random, GuideOptions{.photons = count});
+      };
+      // A few sub-paths tell whether more are worth their time.
+      if (options.savings.guide_by_need) make(kFewestPhotons);
+      if (!options.savings.guide_by_need || guide_->concentration() > kEven) {
+        make(photons());
+        world_.guide = &*guide_;
+      }
     }
     result_.guided = world_.guide != nullptr;
   }
@@ -193,6 +201,15 @@ class Renderer {
   }
 
  private:
+  /// A photon costs about a quarter of a camera path. In 16^3 cells more than the most bring nothing; with
+  /// few the guide misses light that then makes outliers. Objects fill about a quarter of a picture.
+  int64_t photons() const {
+    constexpr int64_t kMost = 131072;
+    if (options_.photons > 0) return options_.photons;
+    if (options_.error > 0.0) return kMost;
+    return std::clamp(camera_.width * camera_.height * options_.spp / 4, kFewestPhotons, kMost);
+  }
+
   Random stream(size_t pixel, Pass pass) const {
     return {options_.seed, Purpose::kRender,
             static_cast<uint32_t>(pixel) * kPasses + static_cast<uint32_t>(pass), options_.number};

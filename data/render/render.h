@@ -57,7 +57,8 @@ struct RenderOptions {
   int64_t pilot = 16;        ///< samples a pixel that `error` is planned from
   int64_t most = 1 << 16;    ///< samples of a part of a pixel
   BsdfReading bsdf = BsdfReading::kClear;
-  GuideOptions guide{};
+  /// Light sub-paths of the guide; 0: about as many as camera paths, up to what a cell can make use of.
+  int64_t photons = 0;
   Savings savings{};
   uint64_t seed = 0;
   uint32_t number = 0;

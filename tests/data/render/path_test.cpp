@@ -247,7 +247,7 @@ TEST_CASE("extreme media give finite light and no leaks") {
         Medium{.sigma_t = {1e-4, 1.0, 100.0}, .albedo = {1.0, 1.0, 1.0}, .g = 0.99},
         Medium{.sigma_t = {5.0, 5.0, 5.0}, .albedo = {0.0, 0.5, 1.0}, .g = -0.8}, Medium{}}) {
     scene.medium = medium;
-    const SceneRender r = render_scene(scene, camera, {.spp = 4, .guide = {.photons = 500}});
+    const SceneRender r = render_scene(scene, camera, {.spp = 4, .photons = 500});
     for (const float v : r.image) REQUIRE(std::isfinite(v));
     for (const float v : r.bsdf) REQUIRE(std::isfinite(v));
     CHECK(r.faults.lost == 0);

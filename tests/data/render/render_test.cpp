@@ -75,7 +75,7 @@ TEST_CASE("samples follow the error that is asked for") {
   const SceneModel scene = dull_scene();
   for (const double wanted : {0.2, 0.1}) {
     const RenderOptions options{
-        .spp = 4, .error = wanted, .dop_error = 1.0, .guide = {.photons = 20'000}, .seed = 1, .number = 1};
+        .spp = 4, .error = wanted, .dop_error = 1.0, .photons = 20'000, .seed = 1, .number = 1};
     RenderOptions other = options;
     other.seed = 2;
     const SceneRender a = render_scene(scene, kCamera, options), b = render_scene(scene, kCamera, other);
@@ -89,7 +89,7 @@ TEST_CASE("samples follow the error that is asked for") {
 
 TEST_CASE("no saving changes the light", "[statistics]") {
   const SceneModel scene = dull_scene();
-  const RenderOptions base{.spp = 8, .error = 0.3, .dop_error = 1.0, .guide = {.photons = 20'000}};
+  const RenderOptions base{.spp = 8, .error = 0.3, .dop_error = 1.0, .photons = 20'000};
   RenderOptions plain = base;
   plain.error = 0.0;
   plain.spp = 64;
@@ -119,7 +119,7 @@ TEST_CASE("no saving changes the light", "[statistics]") {
 TEST_CASE("an adaptive render is the same to the bit for any number of threads") {
   const SceneModel scene = dull_scene();
   const RenderOptions options{
-      .spp = 2, .error = 0.4, .dop_error = 1.0, .guide = {.photons = 4'000}, .seed = 5, .number = 2};
+      .spp = 2, .error = 0.4, .dop_error = 1.0, .photons = 4'000, .seed = 5, .number = 2};
   set_num_threads(1);
   const SceneRender one = render_scene(scene, kCamera, options);
   set_num_threads(3);
@@ -132,7 +132,7 @@ TEST_CASE("an adaptive render is the same to the bit for any number of threads")
 
 TEST_CASE("light from everywhere needs no guide, a flash does") {
   SceneModel scene = dull_scene();
-  const RenderOptions options{.spp = 1, .guide = {.photons = 20'000}};
+  const RenderOptions options{.spp = 1, .photons = 20'000};
   CHECK(render_scene(scene, kCamera, options).guided);
   scene.light.flash.radiance = 0.0;
   scene.light.environment = Environment(Rgb{1.0, 1.0, 1.0});

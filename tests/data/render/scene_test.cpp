@@ -13,8 +13,7 @@ namespace {
 SceneRender small_render(uint32_t number, BsdfReading bsdf = BsdfReading::kClear) {
   const Camera camera{.width = 24, .height = 24};
   const SceneModel scene = draw_scene({}, camera, 1, number);
-  return render_scene(scene, camera,
-                      {.spp = 4, .bsdf = bsdf, .guide = {.photons = 1000}, .seed = 1, .number = number});
+  return render_scene(scene, camera, {.spp = 4, .bsdf = bsdf, .photons = 1000, .seed = 1, .number = number});
 }
 
 }  // namespace
