@@ -1,4 +1,4 @@
-#include "train/chart.h"
+#include "data/chart.h"
 
 #include <fmt/format.h>
 
