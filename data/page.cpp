@@ -20,13 +20,17 @@ p.sub { margin: 0 0 8px; color: #5a6876; }
 .card b { display: block; font-size: 24px; }
 .card span { color: #5a6876; font-size: 12px; white-space: nowrap; }
 .card span.good { color: #1b7f4b; } .card span.bad { color: #b3372f; }
-.good { color: #1b7f4b; } .bad { color: #b3372f; }
+.good { color: #1b7f4b; } .bad { color: #b3372f; } .warning { color: #a8640a; } .undecided { color: #5a6876; }
+table.words td { text-align: left; white-space: normal; vertical-align: top; } table.words th { text-align: left; }
+table.words td:first-child { white-space: nowrap; }
+.list { margin: 0; padding-left: 18px; font-size: 13px; overflow-wrap: anywhere; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { text-align: right; padding: 5px 11px; border-bottom: 1px solid #e6ebf0; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 th { color: #5a6876; font-weight: 600; }
 table.small { font-size: 11px; margin-top: 4px; } table.small th, table.small td { padding: 1px 5px; }
 .charts { display: flex; flex-wrap: wrap; gap: 14px; }
+.beside { display: flex; gap: 36px; align-items: flex-start; } .beside .charts { flex: 1; }
 .chart .title { font-size: 13px; font-weight: 600; fill: #1c2733; }
 .chart .tick { font-size: 11px; fill: #5a6876; } .chart .note { font-size: 11px; fill: #b3372f; }
 .chart .grid { stroke: #e6ebf0; } .chart .axis { stroke: #8b98a5; }
