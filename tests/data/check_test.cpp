@@ -371,6 +371,30 @@ TEST_CASE("captures: pairs that differ by over five per cent fail", "[check]") {
   CHECK(finding(large, "I0 + I90 = I45 + I135").verdict == Verdict::kBad);
 }
 
+TEST_CASE("captures: the authors' are what is known of them", "[check][real]") {
+  const fs::path root = fs::path(OPALINE_SOURCE_DIR) / "../shared/real_captures";
+  if (!fs::exists(root)) {
+    WARN("skipped: no real captures at " << root.string());
+    return;
+  }
+  const DatasetCheck found = check(root);
+  INFO(to_text(found));
+  CHECK(found.sound());
+  // 8 bits, gamma 2.2, truncated; the pairs differ by 2 to 3 %; s1 is stored as p0 - p90.
+  CHECK(finding(found, "angles of the images").verdict == Verdict::kGood);
+  CHECK(finding(found, "signs of s1 and s2").verdict == Verdict::kGood);
+  CHECK(contains(finding(found, "stored s1.npy, s2.npy").found, "s1 = +(p0 - p90), s2 = +(p45 - p135)"));
+  CHECK(found.gamma.known);
+  CHECK(std::abs(found.gamma.gamma - 2.2) < 0.1);
+  CHECK(std::abs(found.gamma.by_stokes.value() - 2.2) < 0.02);
+  for (const SceneCheck& scene : found.splits[0].scenes) {
+    CHECK(scene.pairs->ratio > 1.02);
+    CHECK(scene.pairs->ratio < 1.03);
+    CHECK(scene.pairs->rms < 0.06);
+    CHECK(scene.pairs->saturated < 0.01);
+  }
+}
+
 TEST_CASE("the page and the JSON hold what was found", "[check]") {
   const TempFolder folder;
   write_spheres(folder.path(), 4);
