@@ -371,6 +371,50 @@ TEST_CASE("captures: pairs that differ by over five per cent fail", "[check]") {
   CHECK(finding(large, "I0 + I90 = I45 + I135").verdict == Verdict::kBad);
 }
 
+/// A scene in the layout of the released synthetic set, with normals whose y points down.
+void write_released_scene(const fs::path& folder, int number) {
+  write_capture(folder, number, {});
+  for (const char* angle : {"0", "45", "90", "135"}) {
+    fs::rename(folder / fmt::format("p{}.png", angle), folder / fmt::format("{}.png", angle));
+    fs::copy_file(folder / fmt::format("{}.png", angle), folder / fmt::format("{}_BSDF.png", angle));
+  }
+  const SceneImages scene = polarised_images(number);
+  std::vector<uint8_t> normals;
+  for (size_t i = 0; i < scene.normal.size(); ++i) {
+    const float n = i % 3 == 1 ? -scene.normal[i] : scene.normal[i];
+    normals.push_back(static_cast<uint8_t>(std::lround(127.5F * (n + 1.0F))));
+  }
+  write_png(folder / "normal.png", kSide, kSide, 3, normals);
+  write_npy(folder / "depth.npy", scene.depth, std::vector<int64_t>{kSide, kSide});
+  write_npy(folder / "coeffs.npy", std::vector<float>(27, 0.5F), std::vector<int64_t>{9, 3});
+}
+
+TEST_CASE("the released layout is checked, and its undocumented frame named", "[check]") {
+  const TempFolder folder;
+  std::string csv;
+  for (int i = 0; i < 4; ++i) {
+    write_released_scene(folder / fmt::format("train/{}", i), i);
+    csv += fmt::format("{};obj;env;bump;50;0.5,0.25,1;0.4,0.5,0.6;0.3;1;0;0;0;0;0;0;0;90;0;1\n", i);
+  }
+  write_file_atomically(folder / "train.csv", csv);
+  const DatasetCheck found = check(folder.path());
+  const std::string text = to_text(found);
+  INFO(text);
+  CHECK(found.sound());
+  CHECK(finding(found, "normals and depth").verdict == Verdict::kWarning);
+  CHECK(contains(text, "x right, y down, z towards the camera, larger depth is nearer"));
+  CHECK(finding(found, "gamma").verdict == Verdict::kGood);
+  CHECK(finding(found, "angles of the images").verdict == Verdict::kGood);
+  CHECK(finding(found, "signs of s1 and s2").verdict == Verdict::kGood);
+  REQUIRE(found.splits.size() == 1);
+  CHECK(found.splits[0].scenes[0].parameters.size() == 8);
+  // A file that is missing is the scene's problem, named.
+  fs::remove(folder / "train/2/depth.npy");
+  const DatasetCheck damaged = check(folder.path());
+  CHECK(damaged.problem_count() == 1);
+  CHECK(contains(to_text(damaged), "train/2/depth.npy"));
+}
+
 TEST_CASE("captures: the authors' are what is known of them", "[check][real]") {
   const fs::path root = fs::path(OPALINE_SOURCE_DIR) / "../shared/real_captures";
   if (!fs::exists(root)) {
