@@ -59,14 +59,17 @@ void check_mask(const Scene& scene, SceneCheck& check) {
   const int h = scene.height;
   int64_t count = 0;
   bool border = false;
+  Window box{w, h, 0, 0};
   for (int y = 0; y < h; ++y) {
     for (int x = 0; x < w; ++x) {
       if (scene.mask[static_cast<size_t>(y) * static_cast<size_t>(w) + static_cast<size_t>(x)] == 0) continue;
       ++count;
+      box = {std::min(box.x0, x), std::min(box.y0, y), std::max(box.x1, x + 1), std::max(box.y1, y + 1)};
       border = border || x == 0 || y == 0 || x == w - 1 || y == h - 1;
     }
   }
   check.coverage = static_cast<double>(count) / static_cast<double>(scene.pixels());
+  if (count > 0) check.box = box;
   if (count == 0) check.warnings.emplace_back("the mask is empty");
   if (border) check.warnings.emplace_back("the mask touches the border");
 }

@@ -12,6 +12,7 @@
 #include "data/check_frame.h"
 #include "data/check_light.h"
 #include "data/dataset.h"
+#include "data/exr.h"
 
 namespace opaline {
 
@@ -32,6 +33,7 @@ struct SceneCheck {
   std::vector<std::string> warnings;
   bool read = false;  ///< loaded without an error: the numbers below count
   double coverage = 0;
+  Window box;                      ///< of the mask
   double mean_light = 0;           ///< of S0 / 2 on the object
   double clipped = 0;              ///< share of the object's polariser values over white
   double over_polarised = 0;       ///< share of the object's values whose DoP exceeds 1

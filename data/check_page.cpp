@@ -64,9 +64,11 @@ std::string problems(const DatasetCheck& check) {
     }
   };
   for (const std::string& text : check.problems) item("bad", text);
-  of_scenes("bad", [](const SceneCheck& scene) { return scene.problems; });
+  of_scenes(
+      "bad", [](const SceneCheck& scene) -> const auto& { return scene.problems; });
   for (const std::string& text : check.warnings) item("warning", text);
-  of_scenes("warning", [](const SceneCheck& scene) { return scene.warnings; });
+  of_scenes(
+      "warning", [](const SceneCheck& scene) -> const auto& { return scene.warnings; });
   if (count == 0) return {};
   if (count > kMostListed) html += fmt::format("<li>({} more)</li>", count - kMostListed);
   return "<ul class='list'>" + html + "</ul>";

@@ -21,6 +21,23 @@ struct SplitNames {
   std::set<std::string> environments;
 };
 
+/// A line's box and coverage (of A > 0) against the mask (A = 1) of its file.
+void compare_with_mask(const SceneRecord& record, SceneCheck& scene) {
+  if (!scene.read || !(scene.coverage > 0)) return;
+  const Window& mask = scene.box;
+  const Window& box = record.box;
+  if (mask.x0 < box.x0 || mask.y0 < box.y0 || mask.x1 > box.x1 || mask.y1 > box.y1) {
+    scene.problems.push_back(fmt::format("the index says its box is {}, its mask reaches over {}",
+                                         to_string(box), to_string(mask)));
+  }
+  constexpr double kRounding = 1e-3;
+  if (!(scene.coverage <= record.coverage + kRounding)) {
+    scene.problems.push_back(
+        fmt::format("the index says it covers {:.4f} of the image, its mask covers {:.4f}", record.coverage,
+                    scene.coverage));
+  }
+}
+
 /// An object or environment of training scenes that test scenes have as well: test errors would be too small.
 void check_disjoint(std::string_view what, const std::set<std::string>& train,
                     const std::set<std::string>& test, bool promised, DatasetCheck& check) {
@@ -52,7 +69,13 @@ void check_scene_set(const Dataset& dataset, DatasetCheck& check) {
     }
     const fs::path index = root / fmt::format("{}.jsonl", to_string(split));
     if (!fs::exists(index)) continue;
-    for (const SceneRecord& record : read_scene_index(index)) {
+    const std::vector<SceneRecord> records = read_scene_index(index);
+    for (SplitCheck& checked : check.splits) {
+      for (size_t i = 0; checked.split == split && i < checked.scenes.size() && i < records.size(); ++i) {
+        compare_with_mask(records[i], checked.scenes[i]);
+      }
+    }
+    for (const SceneRecord& record : records) {
       if (!known.insert(record.file).second) {
         check.problems.push_back(fmt::format("{} is listed more than once", record.file));
       }

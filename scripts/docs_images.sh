@@ -7,7 +7,7 @@ opaline=$PWD/build/release/opaline
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-"$opaline" render configs/quick.toml --set render.train=48 --set render.test=8 --contact-sheet 8 --out "$work/set"
+"$opaline" render configs/quick.toml --set render.train=48 --set render.test=8 --contact-sheet 6 --out "$work/set"
 cp "$work/set/contact_sheet.png" docs/images/contact_sheet.png
 
 "$opaline" render configs/quick.toml --set render.seed=11 --set render.train=2 --set render.test=0 \

@@ -270,6 +270,19 @@ TEST_CASE("the same scene twice is seen, whatever it is called", "[check]") {
   CHECK(contains(message_of([&] { check(folder.path()); }), "lists scene 0 twice"));
 }
 
+TEST_CASE("an index that does not fit its files is seen", "[check]") {
+  const TempFolder folder;
+  write_small_set(folder.path(), 3, 0);
+  std::vector<SceneRecord> records = read_scene_index(folder / "train.jsonl");
+  records[0].box.x0 += 4;
+  records[1].coverage *= 0.5;
+  write_scene_index(folder / "train.jsonl", records);
+  const DatasetCheck found = check(folder.path());
+  CHECK(found.problem_count() == 2);
+  CHECK(contains(found.splits[0].scenes[0].problems.at(0), "its mask reaches over"));
+  CHECK(contains(found.splits[0].scenes[1].problems.at(0), "the index says it covers"));
+}
+
 TEST_CASE("an object of both splits is seen", "[check]") {
   const TempFolder folder;
   write_small_set(folder.path(), 3, 1);
