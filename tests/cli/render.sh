@@ -57,14 +57,14 @@ for _ in 1 2 3 4 5 6; do
   [[ -d killed ]] && find killed -name '*.exr' -printf '%f %T@\n' | sort > before.txt || : > before.txt
   listed=$(cat killed/*.jsonl 2> /dev/null | grep -oE '[0-9]{6}\.exr.*"seconds":[^}]*}$' | cut -c1-10 | sort) || true
   code=0
-  timeout --signal=KILL "$delay" "$opaline" render tiny.toml --out killed "${many[@]}" > /dev/null 2>&1 || code=$?
+  timeout --signal=KILL "$delay" "$opaline" render tiny.toml --out killed "${many[@]}" --threads 1 > /dev/null 2>&1 || code=$?
   if [[ $code -eq 137 ]]; then killed=$((killed + 1)); fi
   for file in $listed; do
     grep -qF "$(grep "^$file" before.txt)" <(find killed -name '*.exr' -printf '%f %T@\n') \
       || fail "$file was finished and rendered again, after a kill at $delay s"
   done
 done
-[[ $killed -ge 2 ]] || fail "only $killed runs were killed"
+[[ $killed -ge 1 ]] || fail "no run was killed before its end"
 touch killed/scenes/000001.exr.tmp.77 killed/train.jsonl.tmp.77  # as a killed write leaves them
 expect_code 0 "$opaline" render tiny.toml --out killed "${many[@]}"
 grep -q "60 files verified" out.txt || fail "nothing was verified: $(cat out.txt)"
