@@ -162,6 +162,9 @@ class Captures final : public Dataset {
     scene.id = id(split, index);
     return scene;
   }
+  std::optional<StoredLight> load_stored(Split split, int64_t index) const override {
+    return read_stored_capture(folder(split, index));
+  }
 
  private:
   const fs::path& folder(Split split, int64_t index) const {
@@ -249,6 +252,15 @@ std::vector<uint8_t> read_mask(const fs::path& path, int width, int height) {
     mask[i] = png.samples[i * static_cast<size_t>(png.channels)] == object ? 1 : 0;
   }
   return mask;
+}
+
+StoredLight read_stored_capture(const fs::path& folder) {
+  StoredLight stored;
+  stored.polarisers = read_polariser_images(folder, "p");
+  for (size_t i = 0; i < 3; ++i) {
+    stored.stokes[i] = read_stokes_npy(folder / fmt::format("s{}.npy", i), stored.polarisers);
+  }
+  return stored;
 }
 
 Scene read_capture(const fs::path& folder) {

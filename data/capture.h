@@ -11,18 +11,9 @@
 #include <vector>
 
 #include "data/dataset.h"
+#include "data/stored_light.h"
 
 namespace opaline {
-
-/// Four polariser images in linear light, 0, 45, 90 and 135 degrees; each H x W x 3.
-struct PolariserImages {
-  int width = 0;
-  int height = 0;
-  std::array<std::vector<float>, 4> images;
-  std::vector<uint8_t> clipped;  ///< H x W x 3: 1 where one of the four is too bright to tell
-
-  int64_t pixels() const { return int64_t{width} * height; }
-};
 
 /// Reads <folder>/<prefix>0<suffix>.png .. <prefix>135<suffix>.png, gamma 2.2. 8-bit values were truncated
 /// when they were written, so they decode as ((v + 0.5) / 255)^2.2 (16-bit ones likewise with 65535). Throws
@@ -44,6 +35,9 @@ std::vector<uint8_t> read_mask(const std::filesystem::path& path, int width, int
 /// s0.npy to s2.npy are there too they give the light, without the 8 bits, and the PNGs their signs and the
 /// pair ratio.
 Scene read_capture(const std::filesystem::path& folder);
+
+/// What a capture folder stores, nothing repaired.
+StoredLight read_stored_capture(const std::filesystem::path& folder);
 
 /// True where `root` is a capture folder or holds some.
 bool has_captures(const std::filesystem::path& root);

@@ -1,113 +1,27 @@
 #include "data/check.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <set>
+#include <map>
+#include <mutex>
+#include <numeric>
 
 #include "core/error.h"
+#include "core/file.h"
 #include "core/parallel.h"
-#include "data/scene_set.h"
+#include "data/check_parts.h"
 
 namespace opaline {
 namespace {
 
-namespace fs = std::filesystem;
+constexpr double kMostMismatch = 0.05;  // of the pairs of four stored images
+constexpr double kSlack = 1e-5;         // of float32 against the decimal limits of parameters
 
-// Ranges that the networks' targets are mapped from (data/encode.h); outside of them a value still loads.
-struct NamedRange {
-  std::string_view name;
-  double min;
-  double max;
-};
-constexpr std::array<NamedRange, 8> kParameters = {{{"g", 0, 0.9},
-                                                    {"sigma_t R", 0, 32},
-                                                    {"sigma_t G", 0, 32},
-                                                    {"sigma_t B", 0, 32},
-                                                    {"albedo R", 0.3, 0.95},
-                                                    {"albedo G", 0.3, 0.95},
-                                                    {"albedo B", 0.3, 0.95},
-                                                    {"flash", 35, 75}}};
-constexpr double kSlack = 1e-5;  // of float32 against the decimal limits
-
-struct Pixels {
-  const Scene& scene;
-
-  size_t at(int x, int y) const {
-    return static_cast<size_t>(y) * static_cast<size_t>(scene.width) + static_cast<size_t>(x);
-  }
-  bool object(int x, int y) const {
-    return x >= 0 && y >= 0 && x < scene.width && y < scene.height && scene.mask[at(x, y)] != 0;
-  }
-  double normal(int x, int y, size_t c) const { return static_cast<double>(scene.normal[3 * at(x, y) + c]); }
-  double depth(int x, int y) const { return static_cast<double>(scene.depth[at(x, y)]); }
-};
-
-/// Where the mask ends: the direction away from it, from the pixels around.
-void add_silhouette(const Pixels& pixels, int x, int y, FrameEvidence& evidence) {
-  constexpr int kReach = 2;
-  double out_x = 0;
-  double out_y = 0;
-  for (int dy = -kReach; dy <= kReach; ++dy) {
-    for (int dx = -kReach; dx <= kReach; ++dx) {
-      if (pixels.object(x + dx, y + dy)) continue;
-      out_x += dx;
-      out_y -= dy;
-    }
-  }
-  const double out = std::hypot(out_x, out_y);
-  const double nx = pixels.normal(x, y, 0);
-  const double ny = pixels.normal(x, y, 1);
-  const double n = std::hypot(nx, ny);
-  if (!(out > 3 && n > 0.3)) return;
-  evidence.outward_x += out_x * nx / (out * n);
-  evidence.outward_y += out_y * ny / (out * n);
-  evidence.silhouette += 1;
-}
-
-FrameEvidence frame_evidence(const Scene& scene) {
-  FrameEvidence evidence;
-  const Pixels pixels{scene};
-  double xx = 0;
-  double yy = 0;
-  double nxx = 0;
-  double nyy = 0;
-  for (int y = 1; y < scene.height - 1; ++y) {
-    for (int x = 1; x < scene.width - 1; ++x) {
-      if (!pixels.object(x, y)) continue;
-      const bool whole = pixels.object(x - 1, y) && pixels.object(x + 1, y) && pixels.object(x, y - 1) &&
-                         pixels.object(x, y + 1);
-      if (!whole) {
-        add_silhouette(pixels, x, y, evidence);
-        continue;
-      }
-      const double nz = pixels.normal(x, y, 2);
-      if (!(nz > 0.3)) continue;  // steep slopes run over occlusions
-      const double gx = (pixels.depth(x + 1, y) - pixels.depth(x - 1, y)) / 2;
-      const double gy = (pixels.depth(x, y - 1) - pixels.depth(x, y + 1)) / 2;
-      const double px = -pixels.normal(x, y, 0) / nz;
-      const double py = -pixels.normal(x, y, 1) / nz;
-      evidence.slope_x += gx * px;
-      evidence.slope_y += gy * py;
-      xx += gx * gx;
-      yy += gy * gy;
-      nxx += px * px;
-      nyy += py * py;
-    }
-  }
-  evidence.slope_x_scale = std::sqrt(xx * nxx);
-  evidence.slope_y_scale = std::sqrt(yy * nyy);
-  return evidence;
-}
-
-void add(FrameEvidence& sum, const FrameEvidence& one) {
-  sum.outward_x += one.outward_x;
-  sum.outward_y += one.outward_y;
-  sum.silhouette += one.silhouette;
-  sum.slope_x += one.slope_x;
-  sum.slope_y += one.slope_y;
-  sum.slope_x_scale += one.slope_x_scale;
-  sum.slope_y_scale += one.slope_y_scale;
+bool is_ours(const Dataset& dataset) {
+  return dataset.facts().layout == "opaline";
 }
 
 void measure_light(const Scene& scene, SceneCheck& check) {
@@ -125,7 +39,10 @@ void measure_light(const Scene& scene, SceneCheck& check) {
       check.mean_light += s0 / 2;
       check.mean_dop += s0 > 0 ? length / s0 : 0;
       clipped += (s0 + std::max(std::abs(s1), std::abs(s2))) / 2 > 1 ? 1 : 0;
-      over += length > s0 * (1 + 2e-3) ? 1 : 0;  // half floats round
+      over += length > s0 * (1 + 2e-3) + 2e-7 ? 1 : 0;  // half floats round
+      const float pairs =
+          (s[c] + s[3 + c]) / 2 + (s[c] - s[3 + c]) / 2 - (s[c] + s[6 + c]) / 2 - (s[c] - s[6 + c]) / 2;
+      if (s0 > 0) check.identity = std::max(check.identity, std::abs(static_cast<double>(pairs)) / s0);
       ++values;
     }
   }
@@ -138,17 +55,21 @@ void measure_light(const Scene& scene, SceneCheck& check) {
 }
 
 void check_mask(const Scene& scene, SceneCheck& check) {
-  const Pixels pixels{scene};
+  const int w = scene.width;
+  const int h = scene.height;
   int64_t count = 0;
   bool border = false;
-  for (int y = 0; y < scene.height; ++y) {
-    for (int x = 0; x < scene.width; ++x) {
-      if (!pixels.object(x, y)) continue;
+  Window box{w, h, 0, 0};
+  for (int y = 0; y < h; ++y) {
+    for (int x = 0; x < w; ++x) {
+      if (scene.mask[static_cast<size_t>(y) * static_cast<size_t>(w) + static_cast<size_t>(x)] == 0) continue;
       ++count;
-      border = border || x == 0 || y == 0 || x == scene.width - 1 || y == scene.height - 1;
+      box = {std::min(box.x0, x), std::min(box.y0, y), std::max(box.x1, x + 1), std::max(box.y1, y + 1)};
+      border = border || x == 0 || y == 0 || x == w - 1 || y == h - 1;
     }
   }
   check.coverage = static_cast<double>(count) / static_cast<double>(scene.pixels());
+  if (count > 0) check.box = box;
   if (count == 0) check.warnings.emplace_back("the mask is empty");
   if (border) check.warnings.emplace_back("the mask touches the border");
 }
@@ -159,8 +80,8 @@ void check_parameters(const Scene& scene, SceneCheck& check) {
   for (const float value : *scene.sigma_t) check.parameters.push_back(static_cast<double>(value));
   for (const float value : *scene.albedo) check.parameters.push_back(static_cast<double>(value));
   check.parameters.push_back(static_cast<double>(*scene.flash));
-  for (size_t i = 0; i < kParameters.size(); ++i) {
-    const NamedRange& range = kParameters[i];
+  for (size_t i = 0; i < parameter_ranges().size(); ++i) {
+    const ParameterRange& range = parameter_ranges()[i];
     const double value = check.parameters[i];
     if (value >= range.min - kSlack * range.max && value <= range.max * (1 + kSlack)) continue;
     check.warnings.push_back(fmt::format("{} is {:.4g}, outside of the networks' {} to {}", range.name, value,
@@ -168,107 +89,113 @@ void check_parameters(const Scene& scene, SceneCheck& check) {
   }
 }
 
-/// What our own layout promises besides its scenes.
-void check_scene_set(const Dataset& dataset, DatasetCheck& check) {
-  const fs::path& root = check.facts.root;
-  const SceneSetInfo info = read_scene_set_info(root);
-  std::set<std::string> known;
-  for (const Split split : {Split::kTrain, Split::kTest}) {
-    const int64_t promised = split == Split::kTrain ? info.train : info.test;
-    if (dataset.size(split) != promised) {
-      check.problems.push_back(fmt::format("dataset.toml promises {} {} scenes, {}.jsonl lists {}", promised,
-                                           to_string(split), to_string(split), dataset.size(split)));
-    }
-    const fs::path index = root / fmt::format("{}.jsonl", to_string(split));
-    if (!fs::exists(index)) continue;
-    for (const SceneRecord& record : read_scene_index(index)) {
-      if (!known.insert(record.file).second) {
-        check.problems.push_back(fmt::format("{} is listed more than once", record.file));
-      }
-    }
+/// What is impossible in light and geometry that we render.
+void check_physics(const Scene& scene, SceneCheck& check) {
+  constexpr double kFewOver = 1e-3;
+  if (check.over_polarised > kFewOver) {
+    check.problems.push_back(fmt::format(
+        "{:.1f} % of the object's values have a degree of polarisation over 1", 100 * check.over_polarised));
   }
-  if (!fs::is_directory(root / "scenes")) return;
-  int64_t unlisted = 0;
-  for (const fs::directory_entry& entry : fs::directory_iterator(root / "scenes")) {
-    unlisted += known.contains("scenes/" + entry.path().filename().string()) ? 0 : 1;
+  float low = 0;
+  float high = 0;
+  for (size_t i = 0; i < scene.mask.size() && !scene.depth.empty(); ++i) {
+    if (scene.mask[i] == 0) continue;
+    low = std::min(low, scene.depth[i]);
+    high = std::max(high, scene.depth[i]);
   }
-  if (unlisted > 0) {
-    check.warnings.push_back(fmt::format("scenes/ has {} files that no index lists", unlisted));
+  if (!(low >= -1.01F && high <= 1.01F)) {
+    check.problems.push_back(fmt::format(
+        "depth runs from {:.3g} to {:.3g}; the cube that objects stay in ends at -1 and 1", low, high));
   }
 }
 
-struct Spread {
-  double min = 0;
-  double mean = 0;
-  double max = 0;
-};
-
-template <class Value>
-Spread spread(const std::vector<const SceneCheck*>& scenes, const Value& value) {
-  Spread result{HUGE_VAL, 0, -HUGE_VAL};
-  for (const SceneCheck* scene : scenes) {
-    const double x = value(*scene);
-    result.min = std::min(result.min, x);
-    result.max = std::max(result.max, x);
-    result.mean += x / static_cast<double>(scenes.size());
+/// Cosine between a stored difference and that of two images, over the object.
+double agreement(const std::vector<float>& stored, const std::vector<float>& a, const std::vector<float>& b,
+                 const std::vector<uint8_t>& mask) {
+  double with = 0;
+  double stored2 = 0;
+  double difference2 = 0;
+  for (size_t i = 0; i < stored.size(); ++i) {
+    if (mask[i / 3] == 0) continue;
+    const double difference = static_cast<double>(a[i]) - static_cast<double>(b[i]);
+    const auto value = static_cast<double>(stored[i]);
+    with += difference * value;
+    stored2 += value * value;
+    difference2 += difference * difference;
   }
-  return result;
+  const double scale = std::sqrt(stored2 * difference2);
+  return scale > 0 ? with / scale : 0;
 }
 
-std::string split_text(const SplitCheck& split) {
-  std::vector<const SceneCheck*> usable;
-  for (const SceneCheck& scene : split.scenes) {
-    if (scene.problem.empty()) usable.push_back(&scene);
+void check_stored(const StoredLight& stored, const Scene& scene, SceneCheck& check) {
+  check.pairs = check_pairs(stored.polarisers, scene.mask);
+  check.gamma = gamma_evidence(stored, scene.mask);
+  if (!(std::abs(check.pairs->ratio - 1) <= kMostMismatch)) {
+    check.problems.push_back(
+        fmt::format("I45 + I135 is {:.3f} times I0 + I90 (median; RMS of the difference {:.1f} "
+                    "%): over {:.0f} % they are no images of one scene",
+                    check.pairs->ratio, 100 * check.pairs->rms, 100 * kMostMismatch));
   }
-  std::string text =
-      fmt::format("{}: {} scenes, {} usable\n", to_string(split.split), split.scenes.size(), usable.size());
-  if (usable.empty()) return text;
-  const auto line = [&](std::string_view name, const auto& value) {
-    const Spread s = spread(usable, value);
-    text += fmt::format("  {:<24} {:>10.4g} {:>10.4g} {:>10.4g}\n", name, s.min, s.mean, s.max);
-  };
-  text += fmt::format("  {:<24} {:>10} {:>10} {:>10}\n", "", "min", "mean", "max");
-  line("coverage", [](const SceneCheck& s) { return s.coverage; });
-  line("light on the object", [](const SceneCheck& s) { return s.mean_light; });
-  line("share over white", [](const SceneCheck& s) { return s.clipped; });
-  line("DoP on the object", [](const SceneCheck& s) { return s.mean_dop; });
-  line("share of DoP over 1", [](const SceneCheck& s) { return s.over_polarised; });
-  const bool captures = std::all_of(usable.begin(), usable.end(),
-                                    [](const SceneCheck* s) { return s->pair_ratio.has_value(); });
-  if (captures) {
-    line("(I45+I135) / (I0+I90)", [](const SceneCheck& s) { return static_cast<double>(*s.pair_ratio); });
+  const auto& images = stored.polarisers.images;
+  if (!stored.stokes[1].empty() && !stored.stokes[2].empty()) {
+    check.stored_signs = {agreement(stored.stokes[1], images[0], images[2], scene.mask),
+                          agreement(stored.stokes[2], images[1], images[3], scene.mask)};
   }
-  const bool parameters =
-      std::all_of(usable.begin(), usable.end(), [](const SceneCheck* s) { return !s->parameters.empty(); });
-  for (size_t i = 0; parameters && i < kParameters.size(); ++i) {
-    line(kParameters[i].name, [i](const SceneCheck& s) { return s.parameters[i]; });
+}
+
+/// Scenes whose light another one has as well, by content.
+void check_duplicates(DatasetCheck& check) {
+  constexpr size_t kMostNamed = 10;
+  std::map<std::string_view, std::string> known;
+  std::vector<std::string> twice;
+  for (const SplitCheck& split : check.splits) {
+    for (const SceneCheck& scene : split.scenes) {
+      if (!scene.read) continue;
+      const std::string name = fmt::format("{} scene {}", to_string(split.split), scene.id);
+      const auto [first, fresh] = known.emplace(scene.light_hash, name);
+      if (!fresh) twice.push_back(fmt::format("{} has the light of {}", name, first->second));
+    }
   }
-  return text;
+  for (size_t i = 0; i < std::min(twice.size(), kMostNamed); ++i) check.problems.push_back(twice[i]);
+  check.findings.push_back({"each scene once", "no two with the same light",
+                            twice.empty() ? "none" : fmt::format("{} scenes are there again", twice.size()),
+                            twice.empty() ? Verdict::kGood : Verdict::kBad});
+}
+
+/// Scenes whose normals and depth are in another frame than the set's.
+void check_odd_frames(bool ours, DatasetCheck& check) {
+  if (!check.frame.known) return;
+  for (SplitCheck& split : check.splits) {
+    for (SceneCheck& scene : split.scenes) {
+      const FrameMatch match = match_frame(scene.frame);
+      if (!match.known || match.agrees(check.frame)) continue;
+      const std::string text = "normals and depth are in another frame than the set's: " + to_string(match);
+      (ours ? scene.problems : scene.warnings).push_back(text);
+    }
+  }
 }
 
 }  // namespace
 
-FrameMatch match_frame(const FrameEvidence& e) {
-  FrameMatch match;
-  constexpr double kEnough = 20;
-  if (e.silhouette < kEnough || !(e.slope_x_scale > 0 && e.slope_y_scale > 0)) return match;
-  match.flip_x = e.outward_x < 0;
-  match.flip_y = e.outward_y < 0;
-  match.silhouette = (std::abs(e.outward_x) + std::abs(e.outward_y)) / e.silhouette;
-  const double x = (match.flip_x ? -1 : 1) * e.slope_x / e.slope_x_scale;
-  const double y = (match.flip_y ? -1 : 1) * e.slope_y / e.slope_y_scale;
-  match.flip_depth = x + y < 0;
-  match.slope = (match.flip_depth ? -1 : 1) * (x + y) / 2;
-  match.known = match.silhouette > 0.5 && x * y > 0 && match.slope > 0.3;
-  return match;
+const std::vector<ParameterRange>& parameter_ranges() {
+  static const std::vector<ParameterRange> ranges = {
+      {"g", 0, 0.9},           {"sigma_t R", 0, 32},    {"sigma_t G", 0, 32},    {"sigma_t B", 0, 32},
+      {"albedo R", 0.3, 0.95}, {"albedo G", 0.3, 0.95}, {"albedo B", 0.3, 0.95}, {"flash", 35, 75}};
+  return ranges;
 }
 
-std::string to_string(const FrameMatch& match) {
-  const std::string strength =
-      fmt::format("(silhouettes {:.2f}, slopes {:.2f})", match.silhouette, match.slope);
-  if (!match.known) return "undecided " + strength;
-  return fmt::format("x {}, y {}, larger depth is {} {}", match.flip_x ? "left" : "right",
-                     match.flip_y ? "down" : "up", match.flip_depth ? "farther" : "nearer", strength);
+std::string_view to_string(Verdict verdict) {
+  switch (verdict) {
+    case Verdict::kGood:
+      return "good";
+    case Verdict::kUndecided:
+      return "undecided";
+    case Verdict::kWarning:
+      return "warning";
+    case Verdict::kBad:
+      break;
+  }
+  return "BAD";
 }
 
 SceneCheck check_scene(const Dataset& dataset, Split split, int64_t index) {
@@ -276,72 +203,74 @@ SceneCheck check_scene(const Dataset& dataset, Split split, int64_t index) {
   check.id = dataset.id(split, index);
   try {
     const Scene scene = dataset.load(split, index);
-    check.pair_ratio = scene.pair_ratio;
     check_mask(scene, check);
     measure_light(scene, check);
     check_parameters(scene, check);
+    if (is_ours(dataset)) check_physics(scene, check);
     if (!scene.normal.empty() && !scene.depth.empty()) check.frame = frame_evidence(scene);
+    check.signs = sign_evidence(scene);
+    check.light_hash = to_hex(xxh64(std::as_bytes(std::span(scene.image))));
+    if (const auto stored = dataset.load_stored(split, index)) check_stored(*stored, scene, check);
+    check.read = true;
   } catch (const std::exception& e) {
-    check.problem = e.what();
+    check.problems.emplace_back(e.what());
   }
   return check;
 }
 
-bool DatasetCheck::sound() const {
-  return problems.empty() && std::all_of(splits.begin(), splits.end(), [](const SplitCheck& split) {
-           return std::all_of(split.scenes.begin(), split.scenes.end(),
-                              [](const SceneCheck& scene) { return scene.problem.empty(); });
-         });
-}
-
-DatasetCheck check_dataset(const Dataset& dataset) {
+DatasetCheck check_dataset(const Dataset& dataset, const CheckOptions& options) {
   DatasetCheck check;
   check.facts = dataset.facts();
-  if (check.facts.layout == "opaline") check_scene_set(dataset, check);
-  FrameEvidence evidence;
+  const int64_t total = dataset.size(Split::kTrain) + dataset.size(Split::kTest);
+  int64_t done = 0;
+  std::mutex mutex;
+  options.progress(0, total);
   for (const Split split : {Split::kTrain, Split::kTest}) {
     SplitCheck found{.split = split, .scenes = {}};
     found.scenes.resize(static_cast<size_t>(dataset.size(split)));
-    parallel_for(dataset.size(split),
-                 [&](int64_t i) { found.scenes[static_cast<size_t>(i)] = check_scene(dataset, split, i); });
-    for (const SceneCheck& scene : found.scenes) add(evidence, scene.frame);
+    parallel_for(dataset.size(split), [&](int64_t i) {
+      found.scenes[static_cast<size_t>(i)] = check_scene(dataset, split, i);
+      const std::lock_guard lock(mutex);
+      options.progress(++done, total);
+    });
     if (!found.scenes.empty()) check.splits.push_back(std::move(found));
   }
-  check.frame = match_frame(evidence);
   if (check.splits.empty()) check.problems.emplace_back("the set has no scenes");
-  if (check.facts.layout == "opaline" && check.frame.known && !check.frame.ours()) {
-    check.problems.push_back("normals and depth are not in our frame: " + to_string(check.frame));
+  // Sums in the scenes' order, whatever thread had which.
+  FrameEvidence frame;
+  SignEvidence signs;
+  GammaEvidence gamma;
+  for (const SplitCheck& split : check.splits) {
+    for (const SceneCheck& scene : split.scenes) {
+      frame += scene.frame;
+      signs += scene.signs;
+      gamma += scene.gamma;
+    }
   }
+  check.frame = match_frame(frame);
+  check.signs = match_signs(signs, check.frame);
+  check.gamma = match_gamma(gamma);
+  check_odd_frames(is_ours(dataset), check);
+  add_findings(dataset, check);
+  if (is_ours(dataset)) check_scene_set(dataset, check);
+  check_duplicates(check);
   return check;
 }
 
-std::string to_text(const DatasetCheck& check, size_t max_problems) {
-  std::string text = fmt::format("{}: {} layout, {} x {} pixels\n", check.facts.root.string(),
-                                 check.facts.layout, check.facts.width, check.facts.height);
-  for (const SplitCheck& split : check.splits) text += split_text(split);
-  if (check.frame.silhouette > 0)
-    text += fmt::format("frame of normals and depth: {}\n", to_string(check.frame));
-  size_t problems = check.problems.size();
-  size_t warnings = check.warnings.size();
-  for (const std::string& problem : check.problems) text += fmt::format("problem: {}\n", problem);
-  for (const std::string& warning : check.warnings) text += fmt::format("warning: {}\n", warning);
-  size_t shown = 0;
-  for (const SplitCheck& split : check.splits) {
-    for (const SceneCheck& scene : split.scenes) {
-      warnings += scene.warnings.size();
-      problems += scene.problem.empty() ? 0 : 1;
-      if (!scene.problem.empty() && shown++ < max_problems) {
-        text += fmt::format("problem: {} scene {}: {}\n", to_string(split.split), scene.id, scene.problem);
-      }
-      for (const std::string& warning : scene.warnings) {
-        if (shown++ < max_problems) {
-          text += fmt::format("warning: {} scene {}: {}\n", to_string(split.split), scene.id, warning);
-        }
-      }
-    }
+int64_t DatasetCheck::problem_count() const {
+  auto count = static_cast<int64_t>(problems.size());
+  for (const SplitCheck& split : splits) {
+    for (const SceneCheck& scene : split.scenes) count += static_cast<int64_t>(scene.problems.size());
   }
-  if (shown > max_problems) text += fmt::format("({} more not shown)\n", shown - max_problems);
-  return text + fmt::format("{} problems, {} warnings\n", problems, warnings);
+  return count;
+}
+
+int64_t DatasetCheck::warning_count() const {
+  auto count = static_cast<int64_t>(warnings.size());
+  for (const SplitCheck& split : splits) {
+    for (const SceneCheck& scene : split.scenes) count += static_cast<int64_t>(scene.warnings.size());
+  }
+  return count;
 }
 
 }  // namespace opaline

@@ -1,58 +1,52 @@
-// Checking a data set: that every scene reads, and that what it holds is what scenes hold.
+// Checking a data set of any layout: that every scene reads, and that what it holds is what scenes hold.
 #pragma once
 
+#include <array>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
+#include "data/check_frame.h"
+#include "data/check_light.h"
 #include "data/dataset.h"
+#include "data/exr.h"
 
 namespace opaline {
 
-/// Evidence for the frame of normals and depth, as sums over pixels; sums of scenes add up.
-struct FrameEvidence {
-  /// Just inside silhouettes: outward direction (x right, y up) times the normal's direction in the image,
-  /// per axis, and the number of pixels. Near +0.5 and +0.5 of it where both axes are as ours.
-  double outward_x = 0;
-  double outward_y = 0;
-  double silhouette = 0;
-  /// Depth differences to the right and upward against -nx / nz and -ny / nz: products and squares.
-  double slope_x = 0;
-  double slope_y = 0;
-  double slope_x_scale = 0;  ///< product of the root sums of squares, summed over scenes
-  double slope_y_scale = 0;
+/// A scattering parameter and its range, that the networks' targets are mapped from (data/encode.h); outside
+/// of it a value still loads.
+struct ParameterRange {
+  std::string_view name;
+  double min;
+  double max;
 };
-
-/// What the evidence says.
-struct FrameMatch {
-  bool known = false;       ///< enough pixels, and no axis is ambiguous
-  bool flip_x = false;      ///< normals' x points left
-  bool flip_y = false;      ///< normals' y points down
-  bool flip_depth = false;  ///< larger depth is farther
-  double silhouette = 0;    ///< mean cosine between outward and the normal after the flips
-  double slope = 0;         ///< correlation of depth's slope with the normals' after the flips
-  bool ours() const { return known && !flip_x && !flip_y && !flip_depth; }
-};
-
-FrameMatch match_frame(const FrameEvidence& evidence);
-/// "x right, y up, larger depth is nearer (silhouettes 0.95, slopes 0.99)".
-std::string to_string(const FrameMatch& match);
+/// g, sigma_t (3), albedo (3), flash: the order of SceneCheck::parameters.
+const std::vector<ParameterRange>& parameter_ranges();
 
 /// One scene's findings.
 struct SceneCheck {
   std::string id;
-  std::string problem;  ///< why it cannot be used; empty where it can
+  std::vector<std::string> problems;  ///< why it cannot, or should not, be used
   std::vector<std::string> warnings;
+  bool read = false;  ///< loaded without an error: the numbers below count
   double coverage = 0;
-  double mean_light = 0;            ///< of S0 / 2 on the object
-  double clipped = 0;               ///< share of the object's polariser values over white
-  double over_polarised = 0;        ///< share of the object's values whose DoP exceeds 1
-  double mean_dop = 0;              ///< on the object
-  std::optional<float> pair_ratio;  ///< of a capture (data/scene.h)
-  /// g, sigma_t (3), albedo (3), flash; empty where the layout has none.
-  std::vector<double> parameters;
+  Window box;                      ///< of the mask
+  double mean_light = 0;           ///< of S0 / 2 on the object
+  double clipped = 0;              ///< share of the object's polariser values over white
+  double over_polarised = 0;       ///< share of the object's values whose DoP exceeds 1
+  double mean_dop = 0;             ///< on the object
+  double identity = 0;             ///< largest |I0 + I90 - I45 - I135| / S0 of the images made from S0 to S2
+  std::optional<PairCheck> pairs;  ///< where four images are stored
+  /// Correlation of stored s1, s2 with I0 - I90, I45 - I135.
+  std::optional<std::array<double, 2>> stored_signs;
+  std::vector<double> parameters;  ///< empty where the layout has none
   FrameEvidence frame;
+  SignEvidence signs;
+  GammaEvidence gamma;
+  std::string light_hash;  ///< xxh64 of the image's values: the same light twice is the same scene twice
 };
 
 /// Loads the scene and looks at all it has. Never throws for what the scene holds.
@@ -63,21 +57,46 @@ struct SplitCheck {
   std::vector<SceneCheck> scenes;
 };
 
+enum class Verdict { kGood, kUndecided, kWarning, kBad };
+std::string_view to_string(Verdict verdict);
+
+/// One line of the page: what was looked at, what it should be, what it is.
+struct Finding {
+  std::string what;
+  std::string expected;
+  std::string found;
+  Verdict verdict = Verdict::kGood;
+};
+
 struct DatasetCheck {
   DatasetFacts facts;
   std::vector<std::string> problems;  ///< of the set as a whole
   std::vector<std::string> warnings;  ///< likewise
   std::vector<SplitCheck> splits;     ///< those that have scenes
+  std::vector<Finding> findings;
   FrameMatch frame;
+  SignMatch signs;
+  GammaMatch gamma;  ///< of layouts of polariser images
 
+  int64_t problem_count() const;
+  int64_t warning_count() const;
   /// No problem, neither of the set nor of a scene.
-  bool sound() const;
+  bool sound() const { return problem_count() == 0; }
 };
 
-/// Every scene of every split, on all threads.
-DatasetCheck check_dataset(const Dataset& dataset);
+struct CheckOptions {
+  /// Told after each scene how many of how many are done; one call at a time.
+  std::function<void(int64_t done, int64_t total)> progress = [](int64_t, int64_t) {};
+};
 
-/// The findings as text, a line each, the first `max_problems` problems of scenes among them.
+/// Every scene of every split, on all threads. Files and checksums, the four images against each other,
+/// angles, signs and gamma against those declared, frame of normals and depth, mask, saturation, parameters,
+/// scenes that are there twice, objects and environments that both splits have.
+DatasetCheck check_dataset(const Dataset& dataset, const CheckOptions& options = {});
+
+/// The findings for a terminal, with the first `max_problems` problems and warnings of scenes.
 std::string to_text(const DatasetCheck& check, size_t max_problems = 20);
+/// Everything, a number where there is one, as JSON.
+std::string to_json(const DatasetCheck& check);
 
 }  // namespace opaline

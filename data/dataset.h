@@ -4,10 +4,12 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 
 #include "data/scene.h"
+#include "data/stored_light.h"
 
 namespace opaline {
 
@@ -39,6 +41,8 @@ class Dataset {
   /// Reads one scene; safe from several threads. Damage is an error that names file and scene. Negative,
   /// infinite and NaN light never comes through: it is an error as well.
   virtual Scene load(Split split, int64_t index, const LoadOptions& options = {}) const = 0;
+  /// The scene's light as it is stored, for checks; nothing where the layout has Stokes images alone (ours).
+  virtual std::optional<StoredLight> load_stored(Split, int64_t) const { return std::nullopt; }
 };
 
 /// Opens a folder, detecting its layout: ours (dataset.toml), the released synthetic set (train.csv or

@@ -8,6 +8,7 @@
 #include <mutex>
 
 #include "core/error.h"
+#include "core/file_lock.h"
 #include "core/parallel.h"
 #include "data/scene_set.h"
 
@@ -22,22 +23,25 @@ constexpr uint32_t kMostAttempts = 1000;
 /// The index of one split while it grows: in the file in the order of completion, sorted at the end.
 class Index {
  public:
+  /// Lines that are torn, point to no file, or are no longer wanted are dropped; whether the files are intact
+  /// is for damaged() to tell.
   Index(fs::path path, const fs::path& root, int64_t first, int64_t count) : path_(std::move(path)) {
     if (!fs::exists(path_)) return;
     for (SceneRecord& record : read_scene_index(path_, true)) {
       const int64_t number = number_of(record);
       const bool wanted = number >= first && number < first + count;
-      if (wanted && scene_is_intact(root, record)) records_[number] = std::move(record);
+      if (wanted && fs::is_regular_file(root / record.file)) records_[number] = std::move(record);
     }
-    sort();  // drops what is torn, damaged or no longer wanted
+    sort();
   }
 
+  const std::map<int64_t, SceneRecord>& records() const { return records_; }
   bool has(int64_t number) const { return records_.contains(number); }
-  int64_t size() const { return static_cast<int64_t>(records_.size()); }
   void add(int64_t number, const SceneRecord& record) {
     append_scene_record(path_, record);
     records_[number] = record;
   }
+  void drop(int64_t number) { records_.erase(number); }
   void sort() const {
     std::vector<SceneRecord> all;
     for (const auto& [number, record] : records_) all.push_back(record);
@@ -117,6 +121,7 @@ Rendered render_number(const GenerateConfig& config, int64_t number) {
 }
 
 void compare_with_existing(const GenerateConfig& config, const fs::path& root) {
+  if (!fs::exists(root / "dataset.toml")) return;
   const SceneSetInfo before = read_scene_set_info(root);
   if (before.config_text == config.text() && before.generator_version == kVersion) return;
   fail_usage(root.string(),
@@ -125,13 +130,147 @@ void compare_with_existing(const GenerateConfig& config, const fs::path& root) {
              before.generator_version, before.config_text, kVersion, config.text());
 }
 
+/// What a killed run was writing (core/file.h). Nobody else writes here while we hold the lock.
+void remove_half_written(const fs::path& folder) {
+  std::vector<fs::path> found;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder)) {
+    const std::string extension = entry.path().stem().extension().string();
+    if (extension == ".tmp" && entry.is_regular_file()) found.push_back(entry.path());
+  }
+  for (const fs::path& path : found) fs::remove(path);
+}
+
+/// One run of generate().
+class Generation {
+ public:
+  Generation(const GenerateConfig& config, const fs::path& root, const GenerateOptions& options)
+      : config_(config),
+        root_(root),
+        options_(options),
+        indices_{Index(root / "train.jsonl", root, 0, config.train),
+                 Index(root / "test.jsonl", root, config.train, config.test)} {
+    result_.kept = present();
+  }
+
+  GenerateResult run() {
+    for (int round = 0; round < kMostRounds; ++round) {
+      render_missing();
+      if (present() < total()) break;
+      if (verify()) {
+        result_.complete = true;
+        break;
+      }
+      if (stopped_) break;
+    }
+    for (const Index& index : indices_) index.sort();
+    if (!result_.complete && !stopped_) {
+      fail(root_.string(), "files come back damaged after {} attempts to render them: is the disk sound?",
+           kMostRounds);
+    }
+    return result_;
+  }
+
+ private:
+  // A file that is damaged again after it was just written: the disk is, and more rounds do not help.
+  static constexpr int kMostRounds = 3;
+
+  int64_t total() const { return config_.train + config_.test; }
+  int64_t present() const {
+    return static_cast<int64_t>(indices_[0].records().size() + indices_[1].records().size());
+  }
+  Index& index_of(int64_t number) { return indices_[number < config_.train ? 0 : 1]; }
+
+  /// Whether to begin another scene; one that failed stops the others, as they would fail alike.
+  bool go_on() {
+    const std::lock_guard lock(mutex_);
+    stopped_ = stopped_ || options_.stop();
+    return !stopped_ && !failed_;
+  }
+  void fail_all() {
+    const std::lock_guard lock(mutex_);
+    failed_ = true;
+  }
+
+  void render_missing() {
+    std::vector<int64_t> missing;
+    for (int64_t number = 0; number < total(); ++number) {
+      if (!index_of(number).has(number)) missing.push_back(number);
+    }
+    if (missing.empty()) return;
+    options_.progress(GenerateStep::kRender, present(), total());
+    parallel_for(static_cast<int64_t>(missing.size()), [&](int64_t i) {
+      if (!go_on()) return;
+      try {
+        render_one(missing[static_cast<size_t>(i)]);
+      } catch (...) {
+        fail_all();
+        throw;
+      }
+    });
+  }
+
+  void render_one(int64_t number) {
+    Rendered made = render_number(config_, number);
+    const WrittenScene written = write_scene(root_, number, made.images, made.record);
+    const std::lock_guard lock(mutex_);
+    index_of(number).add(number, made.record);
+    ++result_.rendered;
+    result_.redrawn += made.redrawn;
+    result_.clamped += written.clamped;
+    result_.faults.lost += made.faults.lost;
+    result_.faults.paths += made.faults.paths;
+    options_.progress(GenerateStep::kRender, present(), total());
+  }
+
+  /// Reads every file of the index; those whose checksum is wrong are dropped from it. True where all are
+  /// right.
+  bool verify() {
+    std::vector<std::pair<int64_t, const SceneRecord*>> all;
+    for (const Index& index : indices_) {
+      for (const auto& [number, record] : index.records()) all.emplace_back(number, &record);
+    }
+    std::vector<int64_t> damaged;
+    result_.verified = 0;
+    options_.progress(GenerateStep::kVerify, 0, total());
+    parallel_for(static_cast<int64_t>(all.size()), [&](int64_t i) {
+      if (!go_on()) return;
+      const auto& [number, record] = all[static_cast<size_t>(i)];
+      const bool intact = scene_is_intact(root_, *record);
+      const std::lock_guard lock(mutex_);
+      if (!intact) damaged.push_back(number);
+      result_.verified += intact ? 1 : 0;
+      options_.progress(GenerateStep::kVerify, result_.verified + static_cast<int64_t>(damaged.size()),
+                        total());
+    });
+    for (const int64_t number : damaged) index_of(number).drop(number);
+    result_.damaged += static_cast<int64_t>(damaged.size());
+    result_.kept = std::max<int64_t>(0, result_.kept - static_cast<int64_t>(damaged.size()));
+    return result_.verified == total();
+  }
+
+  const GenerateConfig& config_;
+  const fs::path& root_;
+  const GenerateOptions& options_;
+  std::array<Index, 2> indices_;
+  GenerateResult result_;
+  std::mutex mutex_;
+  bool stopped_ = false;
+  bool failed_ = false;
+};
+
 }  // namespace
 
 GenerateResult generate(const GenerateConfig& config, const fs::path& root, const GenerateOptions& options) {
-  const int64_t total = config.train + config.test;
-  if (total == 0) fail_usage("render", "no scenes to render: set render.train and render.test");
-  fs::create_directories(root / "scenes");
-  if (fs::exists(root / "dataset.toml")) compare_with_existing(config, root);
+  if (config.train + config.test == 0) {
+    fail_usage("render", "no scenes to render: set render.train and render.test");
+  }
+  const FileLock lock(root / "lock", "is rendering into this folder; wait for it or choose another --out");
+  compare_with_existing(config, root);
+  std::error_code error;
+  fs::create_directories(root / "scenes", error);
+  if (error) fail((root / "scenes").string(), "cannot make the folder: {}", error.message());
+  remove_half_written(root);
+  remove_half_written(root / "scenes");
   write_scene_set_info(root,
                        {.generator_version = std::string(kVersion),
                         .seed = config.seed,
@@ -141,39 +280,7 @@ GenerateResult generate(const GenerateConfig& config, const fs::path& root, cons
                         .height = config.camera.height,
                         .bsdf = std::string(render::kBsdfReadingNames[static_cast<size_t>(config.bsdf)]),
                         .config_text = config.text()});
-
-  std::array<Index, 2> indices = {Index(root / "train.jsonl", root, 0, config.train),
-                                  Index(root / "test.jsonl", root, config.train, config.test)};
-  const auto index_of = [&](int64_t number) -> Index& { return indices[number < config.train ? 0 : 1]; };
-  std::vector<int64_t> missing;
-  for (int64_t number = 0; number < total; ++number) {
-    if (!index_of(number).has(number)) missing.push_back(number);
-  }
-  GenerateResult result;
-  result.kept = total - static_cast<int64_t>(missing.size());
-  options.progress(result.kept, total);
-
-  std::mutex mutex;
-  parallel_for(static_cast<int64_t>(missing.size()), [&](int64_t i) {
-    {
-      const std::lock_guard lock(mutex);
-      if (options.stop()) return;
-    }
-    const int64_t number = missing[static_cast<size_t>(i)];
-    Rendered made = render_number(config, number);
-    const WrittenScene written = write_scene(root, number, made.images, made.record);
-    const std::lock_guard lock(mutex);
-    index_of(number).add(number, made.record);
-    ++result.rendered;
-    result.redrawn += made.redrawn;
-    result.clamped += written.clamped;
-    result.faults.lost += made.faults.lost;
-    result.faults.paths += made.faults.paths;
-    options.progress(result.kept + result.rendered, total);
-  });
-  for (const Index& index : indices) index.sort();
-  result.complete = result.kept + result.rendered == total;
-  return result;
+  return Generation(config, root, options).run();
 }
 
 }  // namespace opaline

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <string_view>
 
 #include "data/encode.h"
@@ -23,6 +24,47 @@ Picture paint(const MaskedMap& map, std::array<uint8_t, 3> outside, const Colour
     std::copy(rgb.begin(), rgb.end(), picture.rgb.begin() + static_cast<std::ptrdiff_t>(3 * i));
   }
   return picture;
+}
+
+/// S0, S1, S2 of a pixel, summed over the colours.
+std::array<float, 3> stokes_at(const Scene& scene, size_t pixel) {
+  const float* const s = scene.image.data() + kStokesChannels * pixel;
+  return {s[0] + s[1] + s[2], s[3] + s[4] + s[5], s[6] + s[7] + s[8]};
+}
+
+float dop_of(const std::array<float, 3>& s) {
+  return s[0] > 0.0F ? std::hypot(s[1], s[2]) / s[0] : 0.0F;
+}
+
+/// The pure colour at a share of the circle from red over green and blue.
+std::array<float, 3> hue_colour(float share) {
+  std::array<float, 3> rgb{};
+  for (size_t c = 0; c < 3; ++c) {
+    const float distance = std::abs(std::remainder(6.0F * share - 2.0F * static_cast<float>(c), 6.0F));
+    rgb[c] = std::clamp(2.0F - distance, 0.0F, 1.0F);
+  }
+  return rgb;
+}
+
+MaskedMap object_of(const Scene& scene) {
+  return {.values = {}, .mask = scene.mask, .width = scene.width, .height = scene.height};
+}
+
+/// Mean of a block of whole pixels, those that the picture has.
+std::array<uint8_t, 3> block_mean(const Picture& picture, int x0, int y0, int block) {
+  std::array<int, 3> sum{};
+  int count = 0;
+  for (int y = y0; y < std::min(y0 + block, picture.height); ++y) {
+    for (int x = x0; x < std::min(x0 + block, picture.width); ++x) {
+      const auto at =
+          3 * (static_cast<size_t>(y) * static_cast<size_t>(picture.width) + static_cast<size_t>(x));
+      for (size_t c = 0; c < 3; ++c) sum[c] += picture.rgb[at + c];
+      ++count;
+    }
+  }
+  std::array<uint8_t, 3> mean{};
+  for (size_t c = 0; c < 3; ++c) mean[c] = static_cast<uint8_t>((sum[c] + count / 2) / std::max(1, count));
+  return mean;
 }
 
 }  // namespace
@@ -57,6 +99,41 @@ Picture picture_of_depth(const MaskedMap& depth, float low, float high) {
     const uint8_t grey = to_byte(kDarkest + (1.0F - kDarkest) * share);
     return std::array<uint8_t, 3>{grey, grey, grey};
   });
+}
+
+Picture picture_of_dop(const Scene& scene, float high) {
+  return paint(object_of(scene), {0, 0, 0}, [&](size_t i) {
+    return heat_colour(static_cast<double>(dop_of(stokes_at(scene, i))) / static_cast<double>(high));
+  });
+}
+
+Picture picture_of_aop(const Scene& scene) {
+  // From this degree of polarisation on, the hue is at its brightest: scattered light seldom has more.
+  constexpr float kBright = 0.1F;
+  return paint(object_of(scene), {0, 0, 0}, [&](size_t i) {
+    const std::array<float, 3> s = stokes_at(scene, i);
+    const float value = std::sqrt(std::min(1.0F, dop_of(s) / kBright));
+    const std::array<float, 3> hue = hue_colour(std::atan2(s[2], s[1]) / (2.0F * std::numbers::pi_v<float>));
+    std::array<uint8_t, 3> rgb{};
+    for (size_t c = 0; c < 3; ++c) rgb[c] = to_byte(value * hue[c]);
+    return rgb;
+  });
+}
+
+Picture scaled_to(const Picture& picture, int side) {
+  const int longest = std::max({picture.width, picture.height, 1});
+  const int block = std::max(1, (longest + side - 1) / side);
+  const int copies = std::max(1, side / longest);
+  Picture result{.width = (picture.width + block - 1) / block * copies,
+                 .height = (picture.height + block - 1) / block * copies,
+                 .rgb = {}};
+  for (int y = 0; y < result.height; ++y) {
+    for (int x = 0; x < result.width; ++x) {
+      const std::array<uint8_t, 3> rgb = block_mean(picture, x / copies * block, y / copies * block, block);
+      result.rgb.insert(result.rgb.end(), rgb.begin(), rgb.end());
+    }
+  }
+  return result;
 }
 
 std::array<uint8_t, 3> heat_colour(double share) {

@@ -33,8 +33,18 @@ Picture picture_of_input(const Scene& scene);
 Picture picture_of_normals(const MaskedMap& normals);
 /// Grey, from `low` (dark) to `high` (white), values outside clamped; black outside the mask.
 Picture picture_of_depth(const MaskedMap& depth, float low, float high);
+/// Degree of polarisation of the three colours together, as a heat map from 0 to `high`; black outside the
+/// mask.
+Picture picture_of_dop(const Scene& scene, float high = 0.5F);
+/// Angle of polarisation as a hue (0 degrees red, 60 green, 120 blue), the darker the less of it; black
+/// outside the mask.
+Picture picture_of_aop(const Scene& scene);
 /// A heat map from 0 (dark) over purple and orange to `high` (pale yellow); white outside the mask.
 Picture picture_of_error(const MaskedMap& error, float high);
+
+/// At most `side` pixels high and wide: averaged over blocks of whole pixels, or its pixels doubled, tripled
+/// ..
+Picture scaled_to(const Picture& picture, int side);
 
 /// The colour that picture_of_error gives to a share of `high`.
 std::array<uint8_t, 3> heat_colour(double share);

@@ -210,6 +210,12 @@ class ReleasedSet final : public Dataset {
     return scene;
   }
 
+  std::optional<StoredLight> load_stored(Split split, int64_t index) const override {
+    StoredLight stored;
+    stored.polarisers = read_polariser_images(folder(split, record(split, index)), "");
+    return stored;
+  }
+
  private:
   std::vector<ReleasedRecord>& records(Split split) { return split == Split::kTrain ? train_ : test_; }
   const std::vector<ReleasedRecord>& records(Split split) const {

@@ -150,7 +150,7 @@ SceneRecord parse_scene_record(std::string_view text, std::string_view where) {
   return record;
 }
 
-std::vector<SceneRecord> read_scene_index(const std::filesystem::path& path, bool drop_torn_line) {
+std::vector<SceneRecord> read_scene_index(const std::filesystem::path& path, bool salvage) {
   const std::string text = read_text(path);
   std::vector<SceneRecord> records;
   size_t number = 0;
@@ -158,13 +158,16 @@ std::vector<SceneRecord> read_scene_index(const std::filesystem::path& path, boo
     ++number;
     const size_t found = text.find('\n', begin);
     const bool torn = found == std::string::npos;
-    if (torn && drop_torn_line) break;
+    if (torn && salvage) break;
     const size_t end = torn ? text.size() : found;
     const std::string_view line = std::string_view(text).substr(begin, end - begin);
-    if (line.find_first_not_of(" \t\r") != std::string_view::npos) {
-      records.push_back(parse_scene_record(line, fmt::format("{}:{}", path.string(), number)));
-    }
     begin = end + 1;
+    if (line.find_first_not_of(" \t\r") == std::string_view::npos) continue;
+    try {
+      records.push_back(parse_scene_record(line, fmt::format("{}:{}", path.string(), number)));
+    } catch (const Error&) {
+      if (!salvage) throw;
+    }
   }
   return records;
 }
@@ -179,9 +182,16 @@ void append_scene_record(const std::filesystem::path& path, const SceneRecord& r
   const std::string line = to_json_line(record) + "\n";
   const int file = ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
   if (file < 0) fail(path.string(), "cannot open: {}", std::strerror(errno));
+  const off_t before = ::lseek(file, 0, SEEK_END);
   const ssize_t written = ::write(file, line.data(), line.size());
-  const int error = written < 0 ? errno : ENOSPC;
-  const bool whole = written == static_cast<ssize_t>(line.size()) && ::fsync(file) == 0;
+  int error = written < 0 ? errno : ENOSPC;
+  bool whole = written == static_cast<ssize_t>(line.size());
+  if (whole && ::fsync(file) != 0) {
+    error = errno;
+    whole = false;
+  }
+  // Half a line would join with the next one that somebody manages to write.
+  if (!whole && before >= 0 && ::ftruncate(file, before) != 0) error = errno;
   ::close(file);
   if (!whole) fail(path.string(), "cannot add scene {}: {}", record.id, std::strerror(error));
 }

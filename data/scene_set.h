@@ -43,12 +43,12 @@ std::string to_json_line(const SceneRecord& record);
 /// are errors, unknown keys are not.
 SceneRecord parse_scene_record(std::string_view line, std::string_view where);
 
-/// All records of a .jsonl file; empty lines are skipped. A last line without line end, as an interrupted
-/// writer leaves it, is dropped where `drop_torn_line` says so, else it must parse.
-std::vector<SceneRecord> read_scene_index(const std::filesystem::path& path, bool drop_torn_line = false);
+/// All records of a .jsonl file; empty lines are skipped. Lines that do not parse, and a last one without
+/// line end, as an interrupted writer leaves it, are errors, or are dropped where `salvage` says so.
+std::vector<SceneRecord> read_scene_index(const std::filesystem::path& path, bool salvage = false);
 /// The whole file at once, atomically.
 void write_scene_index(const std::filesystem::path& path, const std::vector<SceneRecord>& records);
-/// Adds a line in one write and syncs it.
+/// Adds a line in one write and syncs it; a failure leaves the file as it was.
 void append_scene_record(const std::filesystem::path& path, const SceneRecord& record);
 
 /// What `dataset.toml` holds besides the conventions, which are fixed for what we write.

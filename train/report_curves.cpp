@@ -2,8 +2,8 @@
 #include <cmath>
 #include <map>
 
-#include "train/chart.h"
-#include "train/progress.h"
+#include "core/progress.h"
+#include "data/chart.h"
 #include "train/report_parts.h"
 
 namespace opaline::report {

@@ -4,8 +4,9 @@
 #include <numeric>
 
 #include "core/autograd.h"
+#include "data/chart.h"
+#include "data/page.h"
 #include "data/picture.h"
-#include "train/chart.h"
 #include "train/report_parts.h"
 
 namespace opaline::report {
@@ -14,11 +15,6 @@ namespace {
 // Ends of the colour scales: fixed, so that reports can be compared.
 constexpr float kAngleScale = 60.0F;  // degrees
 constexpr float kDepthScale = 0.2F;   // half-widths of the cube
-
-std::string figure(const Picture& picture, std::string_view caption) {
-  return fmt::format("<figure><img src='{}' alt='{}'><figcaption>{}</figcaption></figure>", data_uri(picture),
-                     escape_html(caption), escape_html(caption));
-}
 
 /// Angle in degrees at each pixel.
 std::vector<float> angles(std::span<const float> estimate, std::span<const float> truth) {
@@ -86,13 +82,13 @@ std::string scene_row(const Scene& scene, const CascadeOutput& out, const SceneR
   std::string html = fmt::format("<div class='scene'><div class='facts'><b>{}</b>", escape_html(result.id));
   html += fmt::format("<br>{:.1f} degrees<br>depth {:.3f}{}</div>", value(Metric::kAngularDegrees),
                       value(Metric::kDepthAligned), parameters(result));
-  html += figure(picture_of_input(scene), "input");
-  html += figure(picture_of_normals(map(scene.normal)), "normal, truth");
-  html += figure(picture_of_normals(map(normal)), "normal, predicted");
-  html += figure(picture_of_error(map(angle), kAngleScale), "angle between");
-  html += figure(picture_of_depth(map(scene.depth), range.low, range.high), "depth, truth");
-  html += figure(picture_of_depth(map(depth), range.low, range.high), "depth, aligned");
-  html += figure(picture_of_error(map(depth_error), kDepthScale), "difference");
+  html += html_figure(picture_of_input(scene), "input");
+  html += html_figure(picture_of_normals(map(scene.normal)), "normal, truth");
+  html += html_figure(picture_of_normals(map(normal)), "normal, predicted");
+  html += html_figure(picture_of_error(map(angle), kAngleScale), "angle between");
+  html += html_figure(picture_of_depth(map(scene.depth), range.low, range.high), "depth, truth");
+  html += html_figure(picture_of_depth(map(depth), range.low, range.high), "depth, aligned");
+  html += html_figure(picture_of_error(map(depth_error), kDepthScale), "difference");
   return html + "</div>";
 }
 

@@ -10,8 +10,6 @@
 
 namespace opaline::report {
 
-/// The page's <style>.
-std::string style();
 /// Curves of losses, test errors, learning rate, gradient norm and speed.
 std::string curves(const std::vector<nlohmann::json>& events,
                    const std::optional<EvaluationSummary>& summary);

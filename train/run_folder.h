@@ -3,6 +3,8 @@
 
 #include <filesystem>
 
+#include "core/file_lock.h"
+
 namespace opaline {
 
 /// RUN/config.toml       the resolved config
@@ -23,17 +25,14 @@ struct RunFolder {
   std::filesystem::path report() const { return root / "report.html"; }
 };
 
-/// Holds RUN/lock while it lives. The kernel drops the lock with the process, so a killed run leaves none.
+/// Holds RUN/lock while it lives.
 class RunLock {
  public:
   /// Makes the folder where there is none. Throws Error, naming the other process, where one holds the lock.
   explicit RunLock(const RunFolder& run);
-  ~RunLock();
-  RunLock(const RunLock&) = delete;
-  RunLock& operator=(const RunLock&) = delete;
 
  private:
-  int descriptor_ = -1;
+  FileLock lock_;
 };
 
 }  // namespace opaline

@@ -7,9 +7,9 @@
 #include <memory>
 #include <optional>
 
+#include "core/progress.h"
 #include "data/dataset.h"
 #include "train/config.h"
-#include "train/progress.h"
 #include "train/run_folder.h"
 
 namespace opaline {

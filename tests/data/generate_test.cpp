@@ -4,6 +4,7 @@
 #include <catch2/catch.hpp>
 
 #include "core/file.h"
+#include "core/file_lock.h"
 #include "core/parallel.h"
 #include "data/dataset.h"
 #include "data/scene_set.h"
@@ -35,8 +36,8 @@ std::vector<std::string> scene_bytes(const fs::path& root) {
 TEST_CASE("a set is rendered, indexed and readable") {
   const test::TempFolder folder;
   int64_t told = 0;
-  const GenerateResult result =
-      generate(tiny(), folder.path(), {.progress = [&](int64_t done, int64_t) { told = done; }});
+  const GenerateResult result = generate(
+      tiny(), folder.path(), {.progress = [&](GenerateStep, int64_t done, int64_t) { told = done; }});
   CHECK(result.complete);
   CHECK(result.rendered == 6);
   CHECK(told == 6);
@@ -80,6 +81,67 @@ TEST_CASE("damaged and missing scenes are rendered again, torn lines dropped") {
   const GenerateResult again = generate(tiny(), folder.path());
   CHECK(again.rendered == 3);
   CHECK(scene_bytes(folder.path()) == before);
+}
+
+TEST_CASE("a file damaged behind the index is found at the end and rendered again") {
+  const test::TempFolder folder;
+  generate(tiny(), folder.path());
+  const auto before = scene_bytes(folder.path());
+  std::string damaged = before[2];
+  damaged[damaged.size() / 2] = static_cast<char>(damaged[damaged.size() / 2] ^ 1);
+  write_file_atomically(folder.path() / "scenes/000002.exr", damaged);
+  std::vector<std::pair<GenerateStep, int64_t>> told;
+  const GenerateResult again = generate(
+      tiny(), folder.path(),
+      {.progress = [&](GenerateStep step, int64_t done, int64_t) { told.emplace_back(step, done); }});
+  CHECK(again.damaged == 1);
+  CHECK(again.rendered == 1);
+  CHECK(again.kept == 5);
+  CHECK(again.verified == 6);
+  CHECK(again.complete);
+  CHECK(scene_bytes(folder.path()) == before);
+  REQUIRE(told.size() > 8);
+  CHECK(told.front() == std::pair(GenerateStep::kVerify, int64_t{0}));  // nothing was missing
+  CHECK(told[7] == std::pair(GenerateStep::kRender, int64_t{5}));
+  CHECK(told.back() == std::pair(GenerateStep::kVerify, int64_t{6}));
+}
+
+TEST_CASE("what a killed run left half-written goes, and a line that does not parse is made again") {
+  const test::TempFolder folder;
+  generate(tiny(), folder.path());
+  const std::string index = read_text(folder.path() / "train.jsonl");
+  std::string broken = index;
+  broken[index.find('\n') + 1] = '?';  // the second line's first character
+  write_file_atomically(folder.path() / "train.jsonl", broken);
+  for (const char* name : {"scenes/000003.exr.tmp.12", "train.jsonl.tmp.12", "dataset.toml.tmp.12"}) {
+    write_file_atomically(folder.path() / name, std::string_view("half"));
+  }
+  const GenerateResult again = generate(tiny(), folder.path());
+  CHECK(again.rendered == 1);
+  CHECK(again.kept == 5);
+  for (const fs::directory_entry& entry : fs::recursive_directory_iterator(folder.path())) {
+    CHECK(entry.path().string().find(".tmp.") == std::string::npos);
+  }
+  CHECK(read_scene_index(folder.path() / "train.jsonl").size() == 4);
+}
+
+TEST_CASE("two renderers do not share a folder") {
+  const test::TempFolder folder;
+  {
+    const FileLock other(folder.path() / "lock", "is busy");
+    CHECK_THROWS_WITH(generate(tiny(), folder.path()), Catch::Contains("is rendering into this folder"));
+  }
+  CHECK(generate(tiny(), folder.path()).complete);
+}
+
+TEST_CASE("a scene that cannot be written ends the run and leaves the others in the index") {
+  const test::TempFolder folder;
+  fs::create_directories(folder.path() / "scenes/000003.exr");  // a folder where the file should be
+  CHECK_THROWS_WITH(generate(tiny(), folder.path()), Catch::Contains("000003.exr"));
+  fs::remove(folder.path() / "scenes/000003.exr");
+  const GenerateResult rest = generate(tiny(), folder.path());
+  CHECK(rest.complete);
+  CHECK(rest.kept >= 1);
 }
 
 TEST_CASE("another config is not mixed into a set") {

@@ -20,7 +20,7 @@ class CountedSet final : public Dataset {
 
   const DatasetFacts& facts() const override { return facts_; }
   int64_t size(Split split) const override { return split == Split::kTrain ? scenes_ : 0; }
-  std::string id(Split, int64_t index) const override { return "s" + std::to_string(index); }
+  std::string id(Split, int64_t index) const override { return fmt::format("s{}", index); }
   Scene load(Split, int64_t index, const LoadOptions&) const override {
     ++loads;
     if (index == broken_) throw Error("the file ends early");

@@ -3,14 +3,15 @@
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <cstring>
+#include <thread>
 
 #include "core/autograd.h"
 #include "core/error.h"
+#include "core/progress.h"
+#include "data/chart.h"
 #include "data/picture.h"
 #include "tests/train/synthetic.h"
-#include "train/chart.h"
 #include "train/evaluate.h"
-#include "train/progress.h"
 
 namespace opaline {
 namespace {
@@ -55,6 +56,20 @@ TEST_CASE("durations read well") {
   CHECK(format_duration(42.4) == "42 s");
   CHECK(format_duration(190) == "3 min 10 s");
   CHECK(format_duration(7500) == "2 h 5 min");
+}
+
+TEST_CASE("the time left counts all units alike where they differ in cost") {
+  Progress progress({.quiet = true});
+  progress.start(10, 14, {.items = "scenes", .all_units = true});
+  for (const int milliseconds : {40, 0, 0}) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(milliseconds));
+    progress.advance(1, "");
+  }
+  // Three units in 40 ms or more: one is left, and neither the slow nor the quick ones alone tell its time.
+  CHECK(progress.seconds_left() > 0.012);
+  CHECK(progress.seconds_left() < 0.2);
+  CHECK(progress.rate() > 5);
+  CHECK(progress.rate() < 80);
 }
 
 TEST_CASE("the mean predictor is the mean of the training scenes") {

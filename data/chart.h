@@ -1,6 +1,7 @@
 // Line charts and scatter plots as inline SVG.
 #pragma once
 
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
@@ -35,6 +36,18 @@ struct ChartOptions {
 
 /// One <svg> element. Points that are not finite are left out; without any point it says so.
 std::string render_chart(const std::vector<ChartSeries>& series, const ChartOptions& options);
+
+struct BarOptions {
+  std::string title = {};
+  double low = 0.0;  ///< values at the ends of the x axis
+  double high = 1.0;
+  int width = 252;
+  int height = 150;
+};
+
+/// One <svg> element: a bar a bin of equal width, from 0.
+std::string render_histogram(const std::vector<int64_t>& counts, const std::string& colour,
+                             const BarOptions& options);
 
 /// Text with &, <, > and quotes escaped.
 std::string escape_html(std::string_view text);

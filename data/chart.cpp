@@ -1,4 +1,4 @@
-#include "train/chart.h"
+#include "data/chart.h"
 
 #include <fmt/format.h>
 
@@ -198,6 +198,32 @@ std::string render_chart(const std::vector<ChartSeries>& series, const ChartOpti
                        series[i].colour, escape_html(series[i].name));
     at -= 7.0 * static_cast<double>(series[i].name.size()) + 12.0;
   }
+  return svg + "</svg>";
+}
+
+std::string render_histogram(const std::vector<int64_t>& counts, const std::string& colour,
+                             const BarOptions& options) {
+  constexpr double kMargin = 10.0;
+  constexpr double kBelow = 20.0;
+  const double base = options.height - kBelow;
+  const double room = options.width - 2.0 * kMargin;
+  const int64_t most = counts.empty() ? 0 : *std::max_element(counts.begin(), counts.end());
+  std::string svg = fmt::format("<svg class='chart' viewBox='0 0 {0} {1}' width='{0}' height='{1}'>",
+                                options.width, options.height);
+  svg += fmt::format("<text x='{}' y='16' class='title'>{}</text>", kMargin, escape_html(options.title));
+  svg += fmt::format("<text x='{}' y='16' class='tick' text-anchor='end'>at most {}</text>",
+                     options.width - kMargin, most);
+  const double step = counts.empty() ? room : room / static_cast<double>(counts.size());
+  for (size_t i = 0; i < counts.size() && most > 0; ++i) {
+    const double height = (base - kTop) * static_cast<double>(counts[i]) / static_cast<double>(most);
+    svg += fmt::format("<rect x='{:.1f}' y='{:.1f}' width='{:.1f}' height='{:.1f}' fill='{}'/>",
+                       kMargin + static_cast<double>(i) * step + 0.5, base - height,
+                       std::max(0.5, step - 1.0), height, colour);
+  }
+  svg += line(kMargin, base, kMargin + room, base, "axis");
+  svg += fmt::format("<text x='{}' y='{}' class='tick'>{:.4g}</text>", kMargin, base + 14.0, options.low);
+  svg += fmt::format("<text x='{}' y='{}' class='tick' text-anchor='end'>{:.4g}</text>", kMargin + room,
+                     base + 14.0, options.high);
   return svg + "</svg>";
 }
 
