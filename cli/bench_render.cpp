@@ -17,8 +17,8 @@
 #include "core/error.h"
 #include "core/file.h"
 #include "core/parallel.h"
-#include "train/chart.h"
-#include "train/progress.h"
+#include "core/progress.h"
+#include "data/chart.h"
 
 namespace opaline::cli {
 namespace {
