@@ -76,8 +76,10 @@ Guide::Guide(const World& world, const Illumination& light, const Vec3& low, con
     : low_(low), side_(options.cells) {
   const auto side = static_cast<double>(side_);
   const Vec3 size = high - low;
-  cells_per_length_ = {side / size.x, side / size.y, side / size.z};
-  const double step = 0.5 * std::min({size.x, size.y, size.z}) / side;
+  // A flat body has one layer of cells, and steps through a thin one are bounded by its length.
+  const auto cells_per = [side](double length) { return length > 0.0 ? side / length : 0.0; };
+  cells_per_length_ = {cells_per(size.x), cells_per(size.y), cells_per(size.z)};
+  const double step = std::max(0.5 * std::min({size.x, size.y, size.z}) / side, norm(size) / 1024.0);
   const Emitter emitter(light, (low + high) * 0.5, 0.5 * norm(size));
   cells_.resize(static_cast<size_t>(side_ * side_ * side_));
   if (emitter.dark()) return;
