@@ -13,6 +13,7 @@ struct Ray {
   Vec3 origin;
   Vec3 direction;
   bool inside = false;
+  int flights = 0;  // inside, since the ray left the surface
 };
 
 struct Crossing {
@@ -27,6 +28,8 @@ enum class End { kEscaped, kScattered, kLost, kStopped };
 /// more noise than it saves time.
 constexpr int kSureEvents = 1000;
 constexpr double kGoOn = 0.9;
+/// One flight in so many looks for the surface beyond its end, to see that it is still inside.
+constexpr int kSureFlights = 64;
 /// Share of the pixel's light that an unscattered branch has to carry to be followed for sure.
 constexpr double kSplit = 0.004;
 /// Paths of less throughput than this are thinned out.
@@ -78,8 +81,8 @@ class Walker {
               Response<R>& response) const;
   template <int R>
   void cross(const Hit& hit, Ray& ray, Response<R>& response);
-  bool consistent(const Hit& hit, const Ray& ray) const {
-    return (dot(ray.direction, hit.normal) > 0.0) == ray.inside;
+  Meeting next(const Ray& ray, double limit, Hit& hit) const {
+    return world_.geometry->next(ray.origin, ray.direction, ray.inside, limit, hit);
   }
   template <int R>
   End fly(Ray& ray, Response<R>& response, Rgb& beta);
@@ -118,7 +121,8 @@ void Walker::branch(const Hit& hit, const Crossing& crossing, bool reflects, dou
     ray.direction = refract(ray.direction, facing, crossing.fresnel, crossing.eta);
     ray.inside = !ray.inside;
   }
-  ray.origin = world_.geometry->leave(hit, ray.direction);
+  ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
+  ray.flights = 0;
 }
 
 /// Reflects or refracts the ray, with the probability of unpolarised light.
@@ -139,17 +143,19 @@ End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta) {
       const SpectralFlight flight(world_.medium, beta);
       const double choose = random_.uniform();
       const double distance = flight.sample(choose, random_.uniform());
-      if (!world_.geometry->intersect(ray.origin, ray.direction, distance, hit)) {
-        if (!std::isfinite(distance)) return End::kLost;
+      const bool sure = ray.flights++ % kSureFlights == 0;
+      const Meeting meeting = next(ray, sure ? kInfinity : distance + world_.geometry->margin(), hit);
+      if (meeting == Meeting::kLost) return End::kLost;
+      if (meeting == Meeting::kNothing || hit.distance > distance) {
         flight.collide(distance, beta);
         ray.origin = ray.origin + ray.direction * distance;
+        if (meeting == Meeting::kSurface) ray.origin = world_.geometry->keep_inside(ray.origin, hit);
         return End::kScattered;
       }
       flight.arrive(hit.distance, beta);
-    } else if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
-      return End::kEscaped;
+    } else if (const Meeting meeting = next(ray, kInfinity, hit); meeting != Meeting::kSurface) {
+      return meeting == Meeting::kLost ? End::kLost : End::kEscaped;
     }
-    if (!consistent(hit, ray)) return End::kLost;
     if (events >= kSureEvents) {
       if (random_.uniform() >= kGoOn) return End::kStopped;
       beta = scaled(beta, 1.0 / kGoOn);
@@ -163,10 +169,8 @@ End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta) {
 End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weight, double dark) {
   for (int events = 0;; ++events) {
     Hit hit;
-    if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
-      return ray.inside ? End::kLost : End::kEscaped;
-    }
-    if (!consistent(hit, ray)) return End::kLost;
+    const Meeting meeting = next(ray, kInfinity, hit);
+    if (meeting != Meeting::kSurface) return meeting == Meeting::kLost ? End::kLost : End::kEscaped;
     if (ray.inside) length += hit.distance;
     double go_on = events >= kSureEvents ? kGoOn : 1.0;
     if (dark > 0.0) go_on = std::min(go_on, largest(world_.medium.transmittance(length)) * weight / dark);
@@ -186,17 +190,12 @@ void Walker::add_unscattered(Ray ray, Response<3> response, double length, doubl
   double weight = 1.0;
   for (int events = 0;; ++events) {
     Hit hit;
-    if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
-      if (ray.inside) {
-        ++faults_.lost;
-        return;
-      }
-      break;
-    }
-    if (!consistent(hit, ray)) {
+    const Meeting meeting = next(ray, kInfinity, hit);
+    if (meeting == Meeting::kLost) {
       ++faults_.lost;
       return;
     }
+    if (meeting == Meeting::kNothing) break;
     if (ray.inside) length += hit.distance;
     if (events >= kSureEvents) {
       if (random_.uniform() >= kGoOn) return;
@@ -277,7 +276,8 @@ void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
 PathSample Walker::run(const CameraRay& camera) {
   PathSample sample;
   Hit hit;
-  if (!world_.geometry->intersect(camera.origin, camera.direction, kInfinity, hit)) {
+  const Meeting meeting = world_.geometry->first(camera.origin, camera.direction, hit);
+  if (meeting == Meeting::kNothing) {
     sample.background = world_.light->background(camera.direction);
     return sample;
   }
@@ -285,11 +285,11 @@ PathSample Walker::run(const CameraRay& camera) {
   sample.hit = true;
   sample.position = hit.position;
   sample.normal = hit.normal;
-  const double cosine = -dot(camera.direction, hit.normal);
-  if (!(cosine > 0.0)) {
+  if (meeting == Meeting::kLost) {
     ++faults_.lost;
     return sample;
   }
+  const double cosine = -dot(camera.direction, hit.normal);
 
   Response<3> rows;
   for (size_t i = 0; i < 3; ++i) rows.pure[i][i] = rows.scattered[i][i] = 1.0;
@@ -301,9 +301,9 @@ PathSample Walker::run(const CameraRay& camera) {
   Response<3> mirrored = rows;
   mirrored.reflect(event);
   Ray ray{.origin = {}, .direction = reflect(camera.direction, hit.normal), .inside = false};
-  ray.origin = world_.geometry->leave(hit, ray.direction);
-  Hit next;
-  if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, next)) {
+  ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
+  Hit ahead;
+  if (next(ray, kInfinity, ahead) == Meeting::kNothing) {
     const Rgb light = world_.light->radiance(ray.origin, ray.direction);
     add(sample.mirror, first_column(mirrored.pure), light);
     add(sample.reflected, first_column(mirrored.pure), light);
@@ -317,7 +317,7 @@ PathSample Walker::run(const CameraRay& camera) {
     Response<3> refracted = rows;
     refracted.transmit(event);
     ray = {.origin = {}, .direction = refract(camera.direction, hit.normal, f, world_.index), .inside = true};
-    ray.origin = world_.geometry->leave(hit, ray.direction);
+    ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
     add_unscattered(ray, refracted, 0.0, 1.0 - f.reflectance(), sample.unscattered, sample.clear);
     if (!world_.medium.empty()) add_scattered(ray, refracted, sample.scattered);
   }
