@@ -143,10 +143,13 @@ End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta) {
       const SpectralFlight flight(world_.medium, beta);
       const double choose = random_.uniform();
       const double distance = flight.sample(choose, random_.uniform());
-      const bool sure = ray.flights++ % kSureFlights == 0;
-      const Meeting meeting = next(ray, sure ? kInfinity : distance + world_.geometry->margin(), hit);
+      // Without a margin nothing is rounded, and a half-space has no far side to be seen.
+      const double margin = world_.geometry->margin();
+      const bool sure = margin > 0.0 && ray.flights++ % kSureFlights == 0;
+      const Meeting meeting = next(ray, sure ? kInfinity : distance + margin, hit);
       if (meeting == Meeting::kLost) return End::kLost;
       if (meeting == Meeting::kNothing || hit.distance > distance) {
+        if (!std::isfinite(distance)) return End::kLost;
         flight.collide(distance, beta);
         ray.origin = ray.origin + ray.direction * distance;
         if (meeting == Meeting::kSurface) ray.origin = world_.geometry->keep_inside(ray.origin, hit);
