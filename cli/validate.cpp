@@ -1,4 +1,4 @@
-// `opaline validate furnace|slab|fresnel`: known answers through the code that renders.
+// `opaline validate slab|furnace|fresnel|hg|sh|flash|stress`: known answers through the code that renders.
 #include <fmt/format.h>
 
 #include <memory>
@@ -7,7 +7,10 @@
 
 #include "cli/commands.h"
 #include "core/error.h"
+#include "data/render/figures.h"
+#include "data/render/stress.h"
 #include "data/render/validate.h"
+#include "data/scene_set.h"
 #include "train/config.h"
 
 namespace opaline::cli {
@@ -70,6 +73,18 @@ bool print_furnace_line(std::string_view name, const Estimate& e, double expecte
   return good;
 }
 
+/// What scenes are drawn from; a data set's own config and seed, where that is what `path` names.
+render::SceneRanges read_ranges(const std::filesystem::path& path, uint64_t& seed) {
+  if (path.empty()) return {};
+  if (!std::filesystem::is_directory(path)) return load_run_config(path).render.ranges;
+  const SceneSetInfo info = read_scene_set_info(path);
+  if (info.config_text.empty()) {
+    fail_usage(path.string(), "does not say which [render] table it was rendered from");
+  }
+  seed = info.seed;
+  return parse_run_config("[render]\n" + info.config_text, path.string()).render.ranges;
+}
+
 void add_furnace(CLI::App& parent, Outcome& outcome) {
   struct Arguments {
     std::filesystem::path config;
@@ -81,15 +96,16 @@ void add_furnace(CLI::App& parent, Outcome& outcome) {
                                             "Scenes in uniform light of radiance 1 that absorb nothing: S0 = "
                                             "1, and without their medium S1 = S2 = 0.\n"
                                             "Each figure may be off by four standard errors.");
-  command->add_option("config", a->config, "TOML file whose [render] table scenes are drawn from");
+  command->add_option(
+      "config", a->config,
+      "TOML file whose [render] table scenes are drawn from, or a data set that knows its own");
+  command->add_option("--number", a->options.number, "First scene")->capture_default_str();
   command->add_option("--scenes", a->scenes, "Scenes")->capture_default_str();
   command->add_option("--paths", a->options.paths, "Paths a scene")->capture_default_str();
   command->add_option("--seed", a->options.seed, "Seed")->capture_default_str();
   command->callback([a, &outcome] {
-    const render::SceneRanges ranges =
-        a->config.empty() ? render::SceneRanges{} : load_run_config(a->config).render.ranges;
-    for (uint32_t i = 0; i < a->scenes; ++i) {
-      a->options.number = i;
+    const render::SceneRanges ranges = read_ranges(a->config, a->options.seed);
+    for (uint32_t i = 0; i < a->scenes; ++i, ++a->options.number) {
       const render::FurnaceResult r = render::validate_furnace(ranges, a->options);
       fmt::print("{} ({} of {} paths lost)\n", r.object, r.faults.lost, r.faults.paths);
       bool good = print_furnace_line("S0", r.s0, 1.0);
@@ -107,20 +123,93 @@ void add_furnace(CLI::App& parent, Outcome& outcome) {
   });
 }
 
-void add_fresnel(CLI::App& parent, Outcome& outcome) {
+void print_figures(const std::vector<render::Figure>& figures, Outcome& outcome) {
+  for (const render::Figure& f : figures) {
+    fmt::print("{:<52} {:>11.7f} +- {:.7f}  expected {:>11.7f}  {}\n", f.name, f.value, f.standard_error,
+               f.expected, f.passes() ? "ok" : "FAILED");
+    if (!f.passes()) outcome.exit_code = 1;
+  }
+}
+
+struct Sampling {
+  int64_t paths;
+  uint64_t seed = 1;
+};
+
+std::shared_ptr<Sampling> add_sampling(CLI::App& command, int64_t paths) {
+  const auto s = std::make_shared<Sampling>(Sampling{.paths = paths});
+  command.add_option("--paths", s->paths, "Paths of a figure")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command.add_option("--seed", s->seed, "Seed")->capture_default_str();
+  return s;
+}
+
+void add_figures(CLI::App& parent, Outcome& outcome) {
+  CLI::App* fresnel = parent.add_subcommand("fresnel", "Reflectances and degrees of polarisation");
+  const auto of_fresnel = add_sampling(*fresnel, 1'000'000);
+  fresnel->callback([of_fresnel, &outcome] {
+    print_figures(render::validate_fresnel(of_fresnel->paths, of_fresnel->seed), outcome);
+  });
+
+  CLI::App* hg = parent.add_subcommand("hg", "Moments of the Henyey-Greenstein phase function");
+  const auto of_hg = add_sampling(*hg, 1'000'000);
+  const auto g = std::make_shared<std::vector<double>>(std::vector<double>{0.0, 1e-4, 0.5, 0.9, 0.99, -0.7});
+  hg->add_option("--g", *g, "Mean cosines")->capture_default_str();
+  hg->callback([of_hg, g, &outcome] {
+    for (const double value : *g) {
+      fmt::print("g = {}\n", value);
+      print_figures(render::validate_hg(value, of_hg->paths, of_hg->seed), outcome);
+    }
+  });
+
+  CLI::App* sh = parent.add_subcommand("sh", "Spherical harmonics of known lights, turned ones too");
+  const auto rotations = std::make_shared<int>(4);
+  const auto seed = std::make_shared<uint64_t>(1);
+  sh->add_option("--rotations", *rotations, "Random axes")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  sh->add_option("--seed", *seed, "Seed")->capture_default_str();
+  sh->callback([=, &outcome] { print_figures(render::validate_sh(*rotations, *seed), outcome); });
+
+  CLI::App* flash = parent.add_subcommand("flash", "Irradiance of the flash, pi L (r / d)^2");
+  const auto of_flash = add_sampling(*flash, 8'000'000);
+  flash->callback([of_flash, &outcome] {
+    print_figures(render::validate_flash(of_flash->paths, of_flash->seed), outcome);
+  });
+}
+
+void add_stress(CLI::App& parent, Outcome& outcome) {
   struct Arguments {
-    int64_t paths = 1'000'000;
-    uint64_t seed = 1;
+    render::StressOptions options;
+    std::string only;
+    double scale = 1.0;
   };
   const auto a = std::make_shared<Arguments>();
-  CLI::App* command = parent.add_subcommand("fresnel", "Reflectances and degrees of polarisation");
-  command->add_option("--paths", a->paths, "Paths of the averages")->capture_default_str();
-  command->add_option("--seed", a->seed, "Seed")->capture_default_str();
+  CLI::App* command = parent.add_subcommand(
+      "stress",
+      "Extreme media and shapes in uniform light of radiance 1: samples that are no light, lost paths,\n"
+      "and S0, which is 1 where nothing is absorbed");
+  command->add_option("--paths", a->options.paths, "Paths a case")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  command->add_option("--seed", a->options.seed, "Seed")->capture_default_str();
+  command->add_option("--only", a->only, "Cases whose name holds this text");
+  command->add_option("--scale", a->scale, "Size of the bodies, at the same optical thickness")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
   command->callback([a, &outcome] {
-    for (const render::Figure& f : render::validate_fresnel(a->paths, a->seed)) {
-      fmt::print("{:<40} {:>10.6f} +- {:.6f}  expected {:>10.6f}  {}\n", f.name, f.value, f.standard_error,
-                 f.expected, f.passes() ? "ok" : "FAILED");
-      if (!f.passes()) outcome.exit_code = 1;
+    for (const render::StressCase& stress : render::stress_cases()) {
+      if (stress.name.find(a->only) == std::string::npos) continue;
+      const render::StressResult r =
+          render::run_stress(a->scale == 1.0 ? stress : render::scaled(stress, a->scale), a->options);
+      const bool good = r.passes(stress.lost_per_million);
+      fmt::print("{:<46}", stress.name);
+      for (const Estimate& e : r.s0) fmt::print(" {:.4f} +- {:.4f} ", e.mean, e.standard_error);
+      fmt::print("clear {:.4f} +- {:.4f}  no light {}  lost {} of {} ({:.0f} per million)  {}\n",
+                 r.clear.mean, r.clear.standard_error, r.not_finite, r.faults.lost, r.faults.paths,
+                 r.lost_per_million(), good ? "ok" : "FAILED");
+      if (!good) outcome.exit_code = 1;
     }
   });
 }
@@ -132,7 +221,8 @@ void add_validate(CLI::App& app, Outcome& outcome) {
   command->require_subcommand(1);
   add_furnace(*command, outcome);
   add_slab(*command);
-  add_fresnel(*command, outcome);
+  add_figures(*command, outcome);
+  add_stress(*command, outcome);
 }
 
 }  // namespace opaline::cli

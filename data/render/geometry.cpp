@@ -37,7 +37,8 @@ class MeshGeometry final : public Geometry {
     device_.reset(rtcNewDevice("threads=1"));
     check("device");
     scene_.reset(rtcNewScene(device_.get()));
-    rtcSetSceneFlags(scene_.get(), RTC_SCENE_FLAG_ROBUST);
+    // The filter serves the queries that see one side of the facets.
+    rtcSetSceneFlags(scene_.get(), RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
     rtcSetSceneBuildQuality(scene_.get(), RTC_BUILD_QUALITY_MEDIUM);
 
     RTCGeometry geometry = rtcNewGeometry(device_.get(), RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -56,6 +57,38 @@ class MeshGeometry final : public Geometry {
   }
 
   bool intersect(const Vec3& origin, const Vec3& direction, double limit, Hit& hit) const override {
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    return query(origin, direction, limit, context, hit);
+  }
+
+ protected:
+  bool intersect_side(const Vec3& origin, const Vec3& direction, double limit, bool leaves,
+                      Hit& hit) const override {
+    SideContext context{.base = {}, .geometry = this, .direction = direction, .leaves = leaves};
+    rtcInitIntersectContext(&context.base);
+    context.base.filter = &MeshGeometry::reject_other_side;
+    return query(origin, direction, limit, context.base, hit);
+  }
+
+ private:
+  /// What the filter of a query that sees one side of the facets has to know.
+  struct SideContext {
+    RTCIntersectContext base;  // first: Embree hands back a pointer to it
+    const MeshGeometry* geometry;
+    Vec3 direction;
+    bool leaves;
+  };
+  static void reject_other_side(const RTCFilterFunctionNArguments* arguments) {
+    // One ray a query, hence packets of one.
+    const auto* context = reinterpret_cast<const SideContext*>(arguments->context);
+    const unsigned triangle = RTCHitN_primID(arguments->hit, arguments->N, 0);
+    const bool leaves = dot(context->direction, context->geometry->normal(triangle)) > 0.0;
+    if (leaves != context->leaves) arguments->valid[0] = 0;
+  }
+
+  bool query(const Vec3& origin, const Vec3& direction, double limit, RTCIntersectContext& context,
+             Hit& hit) const {
     RTCRayHit query;
     query.ray.org_x = static_cast<float>(origin.x);
     query.ray.org_y = static_cast<float>(origin.y);
@@ -70,8 +103,6 @@ class MeshGeometry final : public Geometry {
     query.ray.id = 0;
     query.ray.flags = 0;
     query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-    RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
     rtcIntersect1(scene_.get(), &context, &query);
     if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
 
@@ -84,7 +115,11 @@ class MeshGeometry final : public Geometry {
     return true;
   }
 
- private:
+  Vec3 normal(unsigned triangle) const {
+    const auto& t = mesh_.triangles[triangle];
+    const Vec3 a = vertex(t[0]);
+    return cross(vertex(t[1]) - a, vertex(t[2]) - a);
+  }
   Vec3 vertex(uint32_t i) const {
     const auto& v = mesh_.vertices[i];
     return {v[0], v[1], v[2]};
@@ -128,11 +163,59 @@ class SlabGeometry final : public Geometry {
     return true;
   }
 
+ protected:
+  bool intersect_side(const Vec3& origin, const Vec3& direction, double limit, bool leaves,
+                      Hit& hit) const override {
+    return intersect(origin, direction, limit, hit) && (dot(direction, hit.normal) > 0.0) == leaves;
+  }
+
  private:
   double bottom_;
 };
 
 }  // namespace
+
+Meeting Geometry::next(const Vec3& origin, const Vec3& direction, bool inside, double limit, Hit& hit) const {
+  if (!inside) {
+    return intersect_side(origin, direction, limit, false, hit) ? Meeting::kSurface : Meeting::kNothing;
+  }
+  const bool found = intersect(origin, direction, limit, hit);
+  if (found && dot(direction, hit.normal) > 0.0) return Meeting::kSurface;
+  if (!found && std::isfinite(limit)) return Meeting::kNothing;
+
+  // The facet that was met may be the twin of the right one, or its neighbour across an edge.
+  Hit right;
+  const bool ahead = found && intersect_side(origin, direction, limit, true, right);
+  if (!ahead || !touches(hit.position, right)) {
+    // A facet that should have been met lies just behind the start; seen backwards, leaving is entering.
+    // Or the start, which lies past the facet that was met, should not see it.
+    if (Hit behind; intersect_side(origin, -direction, kInfinity, false, behind) && touches(origin, behind)) {
+      right = behind;
+      right.distance = 0.0;
+    } else if (!ahead || !touches(origin, hit)) {
+      return Meeting::kLost;
+    }
+  }
+  hit = right;
+  return Meeting::kSurface;
+}
+
+Meeting Geometry::first(const Vec3& origin, const Vec3& direction, Hit& hit) const {
+  if (!intersect(origin, direction, kInfinity, hit)) return Meeting::kNothing;
+  if (dot(direction, hit.normal) < 0.0) return Meeting::kSurface;
+  // At an edge the ray may touch the far one of two facets and miss the near one: a little farther out it
+  // meets neither.
+  if (Hit beside; intersect(origin + hit.normal * (4.0 * offset_), direction, kInfinity, beside) &&
+                  dot(direction, beside.normal) > 0.0) {
+    return Meeting::kLost;
+  }
+  return intersect_side(origin, direction, kInfinity, false, hit) ? Meeting::kSurface : Meeting::kNothing;
+}
+
+bool Geometry::touches(const Vec3& point, const Hit& facet) const {
+  // Rays start at one offset from the facet that they leave.
+  return std::abs(dot(point - facet.position, facet.normal)) <= 4.0 * offset_;
+}
 
 std::unique_ptr<Geometry> make_mesh_geometry(const Mesh& mesh) {
   return std::make_unique<MeshGeometry>(mesh);

@@ -96,8 +96,8 @@ Rgb Environment::radiance(const Vec3& d) const {
 
 template <class F>
 void Environment::integrate(const F& f) const {
-  // Midpoints, at least 128 rows: 1e-4 of the bands that we need, and exact weights by band.
-  const int64_t rows = height_ * ((127 + height_) / height_), columns = std::max<int64_t>(2 * rows, width_);
+  // Midpoints, at least 256 rows: 5e-5 of the bands that we need, and exact weights by band.
+  const int64_t rows = height_ * ((255 + height_) / height_), columns = std::max<int64_t>(2 * rows, width_);
   for (int64_t i = 0; i < rows; ++i) {
     const double share = static_cast<double>(height_) / static_cast<double>(rows);
     const double band = std::cos(kPi * static_cast<double>(i) / static_cast<double>(rows)) -

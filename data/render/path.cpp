@@ -13,6 +13,7 @@ struct Ray {
   Vec3 origin;
   Vec3 direction;
   bool inside = false;
+  int flights = 0;  // inside, since the ray left the surface
 };
 
 struct Crossing {
@@ -27,6 +28,8 @@ enum class End { kEscaped, kScattered, kLost, kStopped };
 /// more noise than it saves time.
 constexpr int kSureEvents = 1000;
 constexpr double kGoOn = 0.9;
+/// One flight in so many looks for the surface beyond its end, to see that it is still inside.
+constexpr int kSureFlights = 64;
 /// Share of the pixel's light that an unscattered branch has to carry to be followed for sure.
 constexpr double kSplit = 0.004;
 /// Paths of less throughput than this are thinned out.
@@ -84,10 +87,9 @@ class Walker {
               Response<R>& response) const;
   template <int R>
   void cross(const Hit& hit, Ray& ray, Response<R>& response);
-  bool consistent(const Hit& hit, const Ray& ray) const {
-    return (dot(ray.direction, hit.normal) > 0.0) == ray.inside;
+  Meeting next(const Ray& ray, double limit, Hit& hit) const {
+    return world_.geometry->next(ray.origin, ray.direction, ray.inside, limit, hit);
   }
-  bool meets(const Ray& ray, double flight, Hit& hit) const;
   template <int R>
   End fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FirstNumbers* first = nullptr);
   End follow(Ray& ray, Response<1>& response, double& length, double& weight);
@@ -127,7 +129,8 @@ void Walker::branch(const Hit& hit, const Crossing& crossing, bool reflects, dou
     ray.direction = refract(ray.direction, facing, crossing.fresnel, crossing.eta);
     ray.inside = !ray.inside;
   }
-  ray.origin = world_.geometry->leave(hit, ray.direction);
+  ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
+  ray.flights = 0;
 }
 
 /// Reflects or refracts the ray, with the probability of unpolarised light.
@@ -137,12 +140,6 @@ void Walker::cross(const Hit& hit, Ray& ray, Response<R>& response) {
   const double reflectance = crossing.fresnel.reflectance();
   const bool reflects = crossing.fresnel.total || random_.uniform() < reflectance;
   branch(hit, crossing, reflects, reflects ? reflectance : 1.0 - reflectance, ray, response);
-}
-
-/// Whether a flight of that length inside meets the surface.
-bool Walker::meets(const Ray& ray, double flight, Hit& hit) const {
-  if (world_.bounded_queries) return world_.geometry->intersect(ray.origin, ray.direction, flight, hit);
-  return world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit) && hit.distance <= flight;
 }
 
 /// Moves the ray, which the medium may scatter, until it is scattered or leaves the scene. `length` gets what
@@ -156,18 +153,24 @@ End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, cons
       const double choose = first != nullptr ? first->channel : random_.uniform();
       const double distance = flight.sample(choose, first != nullptr ? first->distance : random_.uniform());
       first = nullptr;
-      if (!meets(ray, distance, hit)) {
+      // Without a margin nothing is rounded, and a half-space has no far side to be seen.
+      const double margin = world_.geometry->margin();
+      const bool sure = margin > 0.0 && ray.flights++ % kSureFlights == 0;
+      const bool unbounded = sure || !world_.bounded_queries;
+      const Meeting meeting = next(ray, unbounded ? kInfinity : distance + margin, hit);
+      if (meeting == Meeting::kLost) return End::kLost;
+      if (meeting == Meeting::kNothing || hit.distance > distance) {
         if (!std::isfinite(distance)) return End::kLost;
         flight.collide(distance, beta);
         ray.origin = ray.origin + ray.direction * distance;
+        if (meeting == Meeting::kSurface) ray.origin = world_.geometry->keep_inside(ray.origin, hit);
         return End::kScattered;
       }
       flight.arrive(hit.distance, beta);
       length += hit.distance;
-    } else if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
-      return End::kEscaped;
+    } else if (const Meeting meeting = next(ray, kInfinity, hit); meeting != Meeting::kSurface) {
+      return meeting == Meeting::kLost ? End::kLost : End::kEscaped;
     }
-    if (!consistent(hit, ray)) return End::kLost;
     if (events >= kSureEvents) {
       if (random_.uniform() >= kGoOn) return End::kStopped;
       beta = scaled(beta, 1.0 / kGoOn);
@@ -181,10 +184,8 @@ End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, cons
 End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weight) {
   for (int events = 0;; ++events) {
     Hit hit;
-    if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
-      return ray.inside ? End::kLost : End::kEscaped;
-    }
-    if (!consistent(hit, ray)) return End::kLost;
+    const Meeting meeting = next(ray, kInfinity, hit);
+    if (meeting != Meeting::kSurface) return meeting == Meeting::kLost ? End::kLost : End::kEscaped;
     if (ray.inside) length += hit.distance;
     const double sure = events >= kSureEvents ? kGoOn : 1.0;
     const double go_on = std::min(sure, largest(world_.medium.transmittance(length)) * weight / kDark);
@@ -217,17 +218,12 @@ void Walker::add_unscattered(Ray ray, Response<3> response, double length, doubl
   double weight = 1.0;
   for (int events = 0;; ++events) {
     Hit hit;
-    if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
-      if (ray.inside) {
-        ++faults_.lost;
-        return;
-      }
-      break;
-    }
-    if (!consistent(hit, ray)) {
+    const Meeting meeting = next(ray, kInfinity, hit);
+    if (meeting == Meeting::kLost) {
       ++faults_.lost;
       return;
     }
+    if (meeting == Meeting::kNothing) break;
     if (ray.inside) length += hit.distance;
     if (events >= kSureEvents) {
       if (random_.uniform() >= kGoOn) return;
@@ -312,7 +308,8 @@ void Walker::add_scattered(Ray ray, Response<3> camera, const FirstNumbers& firs
 PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const FirstNumbers& first) {
   PathSample sample;
   Hit hit;
-  if (!world_.geometry->intersect(camera.origin, camera.direction, kInfinity, hit)) {
+  const Meeting meeting = world_.geometry->first(camera.origin, camera.direction, hit);
+  if (meeting == Meeting::kNothing) {
     sample.background = world_.light->background(camera.direction);
     return sample;
   }
@@ -320,11 +317,11 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
   sample.hit = true;
   sample.position = hit.position;
   sample.normal = hit.normal;
-  const double cosine = -dot(camera.direction, hit.normal);
-  if (!(cosine > 0.0)) {
+  if (meeting == Meeting::kLost) {
     ++faults_.lost;
     return sample;
   }
+  const double cosine = -dot(camera.direction, hit.normal);
 
   Response<3> rows;
   for (size_t i = 0; i < 3; ++i) rows.pure[i][i] = rows.scattered[i][i] = 1.0;
@@ -337,9 +334,9 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
   Response<3> mirrored = rows;
   mirrored.reflect(event);
   Ray ray{.origin = {}, .direction = reflect(camera.direction, hit.normal), .inside = false};
-  ray.origin = world_.geometry->leave(hit, ray.direction);
-  Hit next;
-  if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, next)) {
+  ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
+  Hit ahead;
+  if (next(ray, kInfinity, ahead) == Meeting::kNothing) {
     if (parts.mirror) {
       const Rgb light = world_.light->radiance(ray.origin, ray.direction);
       for (StokesRgb* part : {&sample.mirror, &sample.reflected, &sample.clear}) {
@@ -357,7 +354,7 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
     Response<3> refracted = rows;
     refracted.transmit(event);
     ray = {.origin = {}, .direction = refract(camera.direction, hit.normal, f, world_.index), .inside = true};
-    ray.origin = world_.geometry->leave(hit, ray.direction);
+    ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
     if (parts.unscattered) {
       add_unscattered(ray, refracted, 0.0, 1.0 - f.reflectance(), sample.unscattered, sample.clear);
     }

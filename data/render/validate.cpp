@@ -8,55 +8,12 @@
 #include <numbers>
 
 #include "core/error.h"
-#include "core/parallel.h"
+#include "data/render/moments.h"
 
 namespace opaline::render {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
-constexpr int64_t kBlock = 4096;  // paths of one stream
-
-/// Sums for the mean and variance of several numbers a path.
-template <size_t N>
-struct Moments {
-  std::array<double, N> sum{}, square{};
-  int64_t count = 0;
-
-  void add(const std::array<double, N>& values) {
-    for (size_t i = 0; i < N; ++i) {
-      sum[i] += values[i];
-      square[i] += values[i] * values[i];
-    }
-    ++count;
-  }
-  void join(const Moments& other) {
-    for (size_t i = 0; i < N; ++i) {
-      sum[i] += other.sum[i];
-      square[i] += other.square[i];
-    }
-    count += other.count;
-  }
-  Estimate estimate(size_t i) const {
-    if (count < 2) return {0.0, kInfinity};
-    const auto n = static_cast<double>(count);
-    const double mean = sum[i] / n;
-    return {mean, std::sqrt(std::max(0.0, square[i] / n - mean * mean) / (n - 1.0))};
-  }
-};
-
-/// f(block's stream, block's sums, paths) over all blocks; joined in order, so the same for any thread count.
-template <class Sums, class F>
-Sums run_blocks(int64_t paths, uint64_t seed, const F& f) {
-  const int64_t blocks = (paths + kBlock - 1) / kBlock;
-  std::vector<Sums> parts(static_cast<size_t>(blocks));
-  parallel_for(blocks, [&](int64_t b) {
-    Random random(seed, Purpose::kValidate, 0, static_cast<uint32_t>(b));
-    f(random, parts[static_cast<size_t>(b)], std::min(kBlock, paths - b * kBlock));
-  });
-  Sums total;
-  for (const Sums& part : parts) total.join(part);
-  return total;
-}
 
 /// Radiance 1 from above in the first colour, from below in the second.
 class Hemispheres final : public Light {

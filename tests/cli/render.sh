@@ -126,4 +126,14 @@ expect_code 2 "$opaline" validate slab --albedo 1 --tau inf
 expect_code 2 "$opaline" validate slab --albedo 0.5 --tau thick
 expect_code 0 "$opaline" validate fresnel --paths 20000
 expect_code 0 "$opaline" validate furnace --scenes 1 --paths 5000
+expect_code 0 "$opaline" validate furnace one --scenes 1 --number 2 --paths 5000
+grep -q -- "-1-2 (" out.txt || fail "the furnace did not draw the data set's scene 2: $(cat out.txt)"
+expect_code 0 "$opaline" validate furnace tiny.toml --scenes 1 --paths 5000
+expect_code 2 "$opaline" validate furnace missing.toml
+expect_code 0 "$opaline" validate hg --g 0.9 --paths 10000
+expect_code 2 "$opaline" validate hg --g 1
+expect_code 0 "$opaline" validate sh --rotations 0
+expect_code 0 "$opaline" validate flash --paths 300000
+expect_code 0 "$opaline" validate stress --only "cubes that share a face" --paths 2000
+grep -q "lost 0 of" out.txt || fail "stress counts no leaks: $(cat out.txt)"
 echo "render and validate behave"

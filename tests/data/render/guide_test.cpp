@@ -5,6 +5,7 @@
 #include <numbers>
 
 #include "data/render/render.h"
+#include "data/render/solids.h"
 
 using namespace opaline;
 using namespace opaline::render;
@@ -82,4 +83,27 @@ TEST_CASE("a guide without photons or without light steers nowhere") {
   const Guide dark = make(100);
   CHECK_FALSE(dark.directions({}, {0.0, 0.0, 1.0}, 0.0).known());
   CHECK(dark.directions({}, {0.0, 0.0, 1.0}, 0.0).density({0.0, 0.0, 1.0}) == 0.0);
+}
+
+TEST_CASE("a guide gives unit directions and their density, however thin the body") {
+  for (const Vec3& half :
+       {Vec3{0.2, 0.2, 0.2}, Vec3{1e-3, 1e-3, 0.2}, Vec3{0.2, 0.2, 0.0}, Vec3{0.2, 0, 0}}) {
+    INFO("half-widths " << half.x << " " << half.y << " " << half.z);
+    const auto geometry = make_mesh_geometry(make_box(-half, half));
+    Illumination light;
+    light.environment = Environment(Rgb{1.0, 1.0, 1.0});
+    const World world{.geometry = geometry.get(), .light = &light};
+    const Guide guide(world, light, -half, half, Random(1, Purpose::kTest), {.photons = 2000});
+    Random random(2, Purpose::kTest);
+    for (int i = 0; i < 200; ++i) {
+      const Vec3 position{half.x * random.uniform(-1, 1), half.y * random.uniform(-1, 1),
+                          half.z * random.uniform(-1, 1)};
+      const Guide::Directions directions = guide.directions(position, {0.0, 0.0, 1.0}, 0.3);
+      if (!directions.known()) continue;
+      const Vec3 direction = directions.sample(random.uniform(), random);
+      REQUIRE(norm(direction) == Approx(1.0));
+      const double density = directions.density(direction);
+      REQUIRE((density > 0.0 && std::isfinite(density)));
+    }
+  }
 }
