@@ -44,6 +44,8 @@ int render(const RenderArguments& arguments) {
   fmt::print("{}: {} scenes rendered, {} kept, {} draws repeated, {} values clamped, {} of {} paths lost\n",
              arguments.out.string(), result.rendered, result.kept, result.redrawn, result.clamped,
              result.faults.lost, result.faults.paths);
+  if (!result.skipped.empty()) fmt::print("{} files could not be used:\n", result.skipped.size());
+  for (const auto& [file, reason] : result.skipped) fmt::print("  {}\n", reason);
   if (result.complete) return 0;
   fmt::print("interrupted; the same command goes on\n");
   return 128 + signals.signal();

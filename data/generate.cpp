@@ -62,7 +62,7 @@ struct Rendered {
   int64_t redrawn = 0;
 };
 
-Rendered render_number(const GenerateConfig& config, int64_t number) {
+Rendered render_number(const GenerateConfig& config, const AssetFolders& assets, int64_t number) {
   const auto begin = std::chrono::steady_clock::now();
   const auto id = static_cast<uint32_t>(number);
   Rendered result;
@@ -74,7 +74,8 @@ Rendered render_number(const GenerateConfig& config, int64_t number) {
                  number, attempt);
     }
     const render::SceneModel scene =
-        render::draw_scene(config.ranges, config.camera, config.seed, id, attempt);
+        render::draw_scene(config.ranges, config.camera, config.seed, id, attempt,
+                           number < config.train ? assets.train() : assets.test());
     if (!render::likely_well_framed(scene, config.camera)) {
       ++result.redrawn;
       continue;
@@ -116,13 +117,13 @@ Rendered render_number(const GenerateConfig& config, int64_t number) {
   return result;
 }
 
-void compare_with_existing(const GenerateConfig& config, const fs::path& root) {
+void compare_with_existing(const std::string& text, const fs::path& root) {
   const SceneSetInfo before = read_scene_set_info(root);
-  if (before.config_text == config.text() && before.generator_version == kVersion) return;
+  if (before.config_text == text && before.generator_version == kVersion) return;
   fail_usage(root.string(),
              "holds a data set of another config, generator {}:\n{}\nasked for now, generator {}:\n{}\n"
              "Choose another folder, or remove this one",
-             before.generator_version, before.config_text, kVersion, config.text());
+             before.generator_version, before.config_text, kVersion, text);
 }
 
 }  // namespace
@@ -130,8 +131,10 @@ void compare_with_existing(const GenerateConfig& config, const fs::path& root) {
 GenerateResult generate(const GenerateConfig& config, const fs::path& root, const GenerateOptions& options) {
   const int64_t total = config.train + config.test;
   if (total == 0) fail_usage("render", "no scenes to render: set render.train and render.test");
+  const AssetFolders assets(config.assets, config.seed, config.train > 0, config.test > 0);
+  const std::string text = config.text() + assets.text();
   fs::create_directories(root / "scenes");
-  if (fs::exists(root / "dataset.toml")) compare_with_existing(config, root);
+  if (fs::exists(root / "dataset.toml")) compare_with_existing(text, root);
   write_scene_set_info(root,
                        {.generator_version = std::string(kVersion),
                         .seed = config.seed,
@@ -140,7 +143,7 @@ GenerateResult generate(const GenerateConfig& config, const fs::path& root, cons
                         .width = config.camera.width,
                         .height = config.camera.height,
                         .bsdf = std::string(render::kBsdfReadingNames[static_cast<size_t>(config.bsdf)]),
-                        .config_text = config.text()});
+                        .config_text = text});
 
   std::array<Index, 2> indices = {Index(root / "train.jsonl", root, 0, config.train),
                                   Index(root / "test.jsonl", root, config.train, config.test)};
@@ -160,7 +163,7 @@ GenerateResult generate(const GenerateConfig& config, const fs::path& root, cons
       if (options.stop()) return;
     }
     const int64_t number = missing[static_cast<size_t>(i)];
-    Rendered made = render_number(config, number);
+    Rendered made = render_number(config, assets, number);
     const WrittenScene written = write_scene(root, number, made.images, made.record);
     const std::lock_guard lock(mutex);
     index_of(number).add(number, made.record);
@@ -172,6 +175,7 @@ GenerateResult generate(const GenerateConfig& config, const fs::path& root, cons
     options.progress(result.kept + result.rendered, total);
   });
   for (const Index& index : indices) index.sort();
+  result.skipped = assets.skipped();
   result.complete = result.kept + result.rendered == total;
   return result;
 }

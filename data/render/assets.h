@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "data/render/light.h"
-#include "data/render/mesh.h"
 #include "data/render/relief.h"
+#include "data/render/surface.h"
 
 namespace opaline::render {
 
@@ -23,7 +23,7 @@ struct Collection {
 
 /// What the scenes of one split may use. Empty collections leave everything to chance: bodies, noise, rooms.
 struct Assets {
-  Collection<Mesh> objects{};  ///< closed, outward, of any size
+  Collection<Surface> objects{};  ///< closed, facing outwards, of any size
   Collection<HeightMap> bumps{};
   Collection<Environment> panoramas{};
 };

@@ -82,7 +82,7 @@ SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t 
   scene.environment = fmt::format("room-{}-{}", seed, number);
   std::string bumps;
   Random choice(seed, Purpose::kScene, stream + 2, number);
-  const auto object = draw_from(assets.objects, ranges.object_share, "objects", scene.object, choice);
+  auto object = draw_from(assets.objects, ranges.object_share, "objects", scene.object, choice);
   const auto map = draw_from(assets.bumps, ranges.bump_share, "bump maps", bumps, choice);
   auto panorama = draw_from(assets.panoramas, ranges.panorama_share, "panoramas", scene.environment, choice);
   if (map) scene.object += " + " + bumps;
@@ -103,14 +103,7 @@ SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t 
                            .bump = ranges.bump,
                            .facet = [&](const Vec3& p) { return 0.5 * camera.pixel_size(p.z + offset.z); },
                            .map = map ? &*map : nullptr};
-  Mesh mesh;
-  if (object) {
-    Surface body = to_surface(*object);
-    body.curved = false;
-    mesh = finish_body(std::move(body), shape, random);
-  } else {
-    mesh = make_shape(family, shape, random);
-  }
+  Mesh mesh = finish_body(object ? std::move(*object) : draw_body(family, random), shape, random);
   scene.low = scene.high = offset;
   for (auto& v : mesh.vertices) {
     v = {v[0] + static_cast<float>(offset.x), v[1] + static_cast<float>(offset.y),
