@@ -249,7 +249,7 @@ Vec3 draw_direction(Random& random) {
 /// inward rays find thinner.
 double probe(const render::Mesh& mesh, const std::string& name) {
   if (const std::string leak = describe_leak(mesh); !leak.empty()) fail(name, "is not closed: {}", leak);
-  if (!(enclosed_volume(mesh) > 1e-6)) fail(name, "encloses no volume");
+  if (!(enclosed_volume(mesh) > 1e-6)) fail(name, "encloses no volume, or its pieces intersect each other");
   const auto geometry = render::make_mesh_geometry(mesh);
   Random random(0, Purpose::kScene);
   int wrong = 0;
