@@ -31,9 +31,15 @@ constexpr double kGoOn = 0.9;
 constexpr double kSplit = 0.004;
 /// Paths of less throughput than this are thinned out.
 constexpr double kThin = 0.2;
+/// Light that finds its way out to a scattering is thinned out where less than this of it comes through.
+constexpr double kDark = 0.05;
 
 double largest(const Rgb& c) {
   return std::max({c[0], c[1], c[2]});
+}
+
+double sum(const Rgb& c) {
+  return c[0] + c[1] + c[2];
 }
 
 /// Of unpolarised light that a scattering sends on.
@@ -69,7 +75,7 @@ class Walker {
   Walker(const World& world, Random& random, PathFaults& faults)
       : world_(world), random_(random), faults_(faults) {}
 
-  PathSample run(const CameraRay& camera);
+  PathSample run(const CameraRay& camera, const PathParts& parts, const FirstNumbers& first);
 
  private:
   Crossing meet(const Hit& hit, const Ray& ray) const;
@@ -81,13 +87,16 @@ class Walker {
   bool consistent(const Hit& hit, const Ray& ray) const {
     return (dot(ray.direction, hit.normal) > 0.0) == ray.inside;
   }
+  bool meets(const Ray& ray, double flight, Hit& hit) const;
   template <int R>
-  End fly(Ray& ray, Response<R>& response, Rgb& beta);
-  End follow(Ray& ray, Response<1>& response, double& length, double& weight, double dark);
+  End fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FirstNumbers* first = nullptr);
+  End follow(Ray& ray, Response<1>& response, double& length, double& weight);
+  double phase_share(double phase, double density, const Rgb& beta, double length) const;
   void add_unscattered(Ray ray, Response<3> response, double length, double carried, StokesRgb& sum,
                        StokesRgb& clear);
-  void add_scattered(Ray ray, Response<3> response, StokesRgb& sum);
-  void connect(const Vec3& position, const Vec3& direction, const Rgb& beta, const Rgb& rows, StokesRgb& sum);
+  void add_scattered(Ray ray, Response<3> response, const FirstNumbers& first, StokesRgb& sum);
+  void connect(const Vec3& position, const Vec3& direction, const Guide::Directions& guided, const Rgb& beta,
+               const Rgb& rows, double pick, StokesRgb& sum);
 
   const World& world_;
   Random& random_;
@@ -130,22 +139,31 @@ void Walker::cross(const Hit& hit, Ray& ray, Response<R>& response) {
   branch(hit, crossing, reflects, reflects ? reflectance : 1.0 - reflectance, ray, response);
 }
 
-/// Moves the ray, which the medium may scatter, until it is scattered or leaves the scene.
+/// Whether a flight of that length inside meets the surface.
+bool Walker::meets(const Ray& ray, double flight, Hit& hit) const {
+  if (world_.bounded_queries) return world_.geometry->intersect(ray.origin, ray.direction, flight, hit);
+  return world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit) && hit.distance <= flight;
+}
+
+/// Moves the ray, which the medium may scatter, until it is scattered or leaves the scene. `length` gets what
+/// lies inside up to the last surface.
 template <int R>
-End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta) {
+End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FirstNumbers* first) {
   for (int events = 0;; ++events) {
     Hit hit;
     if (ray.inside) {
       const SpectralFlight flight(world_.medium, beta);
-      const double choose = random_.uniform();
-      const double distance = flight.sample(choose, random_.uniform());
-      if (!world_.geometry->intersect(ray.origin, ray.direction, distance, hit)) {
+      const double choose = first != nullptr ? first->channel : random_.uniform();
+      const double distance = flight.sample(choose, first != nullptr ? first->distance : random_.uniform());
+      first = nullptr;
+      if (!meets(ray, distance, hit)) {
         if (!std::isfinite(distance)) return End::kLost;
         flight.collide(distance, beta);
         ray.origin = ray.origin + ray.direction * distance;
         return End::kScattered;
       }
       flight.arrive(hit.distance, beta);
+      length += hit.distance;
     } else if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
       return End::kEscaped;
     }
@@ -159,8 +177,8 @@ End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta) {
 }
 
 /// Moves the ray, which nothing scatters, until it leaves the scene. `length` gets what lies inside, `weight`
-/// the roulette's factor; where the transmittance falls under `dark`, roulette follows it.
-End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weight, double dark) {
+/// the roulette's factor; where the transmittance falls under kDark, roulette follows it.
+End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weight) {
   for (int events = 0;; ++events) {
     Hit hit;
     if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit)) {
@@ -168,14 +186,27 @@ End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weig
     }
     if (!consistent(hit, ray)) return End::kLost;
     if (ray.inside) length += hit.distance;
-    double go_on = events >= kSureEvents ? kGoOn : 1.0;
-    if (dark > 0.0) go_on = std::min(go_on, largest(world_.medium.transmittance(length)) * weight / dark);
+    const double sure = events >= kSureEvents ? kGoOn : 1.0;
+    const double go_on = std::min(sure, largest(world_.medium.transmittance(length)) * weight / kDark);
     if (go_on < 1.0) {
       if (!(random_.uniform() < go_on)) return End::kStopped;
       weight /= go_on;
     }
     cross(hit, ray, response);
   }
+}
+
+/// What the phase function's direction counts for, beside the guide's, where both have found light over the
+/// same way through the medium: the power heuristic (Veach, "Robust Monte Carlo methods for light transport
+/// simulation", 1997, 9.2.4) of how often each would have. The walk has to survive the medium, which a
+/// connection has not but for its roulette; both meet the surface alike.
+double Walker::phase_share(double phase, double density, const Rgb& beta, double length) const {
+  const Rgb transmittance = world_.medium.transmittance(length);
+  const double walk = phase * sum(product(beta, transmittance)) / sum(beta);
+  const double connection = density * std::min(1.0, largest(transmittance) / kDark);
+  if (!(connection > 0.0)) return 1.0;
+  const double ratio = walk / connection;
+  return ratio < 1.0 ? ratio * ratio / (1.0 + ratio * ratio) : 1.0 / (1.0 + 1.0 / (ratio * ratio));
 }
 
 /// The clear dielectric's light, with and without extinction. Both branches of a surface event are followed
@@ -221,29 +252,30 @@ void Walker::add_unscattered(Ray ray, Response<3> response, double length, doubl
 }
 
 /// Light that finds its way to `position` without scattering, along a direction of the guide's.
-void Walker::connect(const Vec3& position, const Vec3& direction, const Rgb& beta, const Rgb& rows,
-                     StokesRgb& sum) {
-  Ray ray{.origin = position, .direction = {}, .inside = true};
-  if (!world_.guide->sample(position, random_, ray.direction)) return;
+void Walker::connect(const Vec3& position, const Vec3& direction, const Guide::Directions& guided,
+                     const Rgb& beta, const Rgb& rows, double pick, StokesRgb& sum) {
+  Ray ray{.origin = position, .direction = guided.sample(pick, random_), .inside = true};
   const double phase = henyey_greenstein(dot(direction, ray.direction), world_.medium.g);
-  const double share = phase / (phase + world_.guide->density(position, ray.direction));
+  const double density = guided.density(ray.direction);
   Response<1> response = scalar_response(ray.direction);
   double length = 0.0, weight = 1.0;
-  const End end = follow(ray, response, length, weight, 0.05);
+  const End end = follow(ray, response, length, weight);
   if (end == End::kLost) ++faults_.lost;
   if (end != End::kEscaped) return;
+  const double share = (1.0 - phase_share(phase, density, beta, length)) * phase / density;
   Rgb light = world_.light->radiance(ray.origin, ray.direction);
   light = product(product(light, beta), world_.medium.transmittance(length));
   add(sum, scaled(rows, share * weight * response.pure[0][0]), light);
 }
 
 /// Light that has scattered.
-void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
+void Walker::add_scattered(Ray ray, Response<3> camera, const FirstNumbers& first, StokesRgb& sum) {
   Rgb beta{1.0, 1.0, 1.0};
-  End end = fly(ray, camera, beta);
+  double length = 0.0;
+  End end = fly(ray, camera, beta, length, &first);
   // Where the light comes out it is unpolarised: one number for each of the pixel's Stokes components.
   const Rgb rows = first_column(camera.scattered);
-  while (end == End::kScattered) {
+  for (bool first_scattering = true; end == End::kScattered; first_scattering = false) {
     beta = product(beta, world_.medium.albedo);
     const double throughput = largest(beta);
     if (!(throughput > 0.0)) return;
@@ -252,20 +284,23 @@ void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
       if (random_.uniform() >= go_on) return;
       beta = scaled(beta, 1.0 / go_on);
     }
-    if (world_.guide != nullptr) connect(ray.origin, ray.direction, beta, rows, sum);
+    Guide::Directions guided;
+    if (world_.guide != nullptr) {
+      guided = world_.guide->directions(ray.origin, ray.direction, world_.medium.g);
+      const double pick = first_scattering ? first.light : random_.uniform();
+      if (guided.known()) connect(ray.origin, ray.direction, guided, beta, rows, pick, sum);
+    }
 
     const double cosine = sample_henyey_greenstein(random_.uniform(), world_.medium.g);
-    const Vec3 position = ray.origin;
     const Vec3 direction = around(ray.direction, cosine, 2.0 * std::numbers::pi * random_.uniform());
     ray.direction = direction;
     Response<1> response = scalar_response(direction);
-    end = fly(ray, response, beta);
+    const Rgb before = beta;
+    length = 0.0;
+    end = fly(ray, response, beta, length);
     if (end == End::kEscaped) {
-      double share = 1.0;
-      if (world_.guide != nullptr) {
-        const double phase = henyey_greenstein(cosine, world_.medium.g);
-        share = phase / (phase + world_.guide->density(position, direction));
-      }
+      const double phase = henyey_greenstein(cosine, world_.medium.g);
+      const double share = phase_share(phase, guided.density(direction), before, length);
       const Rgb light = product(world_.light->radiance(ray.origin, ray.direction), beta);
       add(sum, scaled(rows, share * response.pure[0][0]), light);
     }
@@ -274,7 +309,7 @@ void Walker::add_scattered(Ray ray, Response<3> camera, StokesRgb& sum) {
   if (end == End::kLost) ++faults_.lost;
 }
 
-PathSample Walker::run(const CameraRay& camera) {
+PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const FirstNumbers& first) {
   PathSample sample;
   Hit hit;
   if (!world_.geometry->intersect(camera.origin, camera.direction, kInfinity, hit)) {
@@ -298,28 +333,35 @@ PathSample Walker::run(const CameraRay& camera) {
   const SurfaceEvent event{
       .direction = camera.direction, .normal = hit.normal, .fresnel = f, .weight = 1.0, .inside = false};
 
+  const bool scatters = parts.scattered && !world_.medium.empty();
   Response<3> mirrored = rows;
   mirrored.reflect(event);
   Ray ray{.origin = {}, .direction = reflect(camera.direction, hit.normal), .inside = false};
   ray.origin = world_.geometry->leave(hit, ray.direction);
   Hit next;
   if (!world_.geometry->intersect(ray.origin, ray.direction, kInfinity, next)) {
-    const Rgb light = world_.light->radiance(ray.origin, ray.direction);
-    add(sample.mirror, first_column(mirrored.pure), light);
-    add(sample.reflected, first_column(mirrored.pure), light);
-    add(sample.clear, first_column(mirrored.pure), light);
+    if (parts.mirror) {
+      const Rgb light = world_.light->radiance(ray.origin, ray.direction);
+      for (StokesRgb* part : {&sample.mirror, &sample.reflected, &sample.clear}) {
+        add(*part, first_column(mirrored.pure), light);
+      }
+    }
   } else {
-    add_unscattered(ray, mirrored, 0.0, f.reflectance(), sample.reflected, sample.clear);
-    if (!world_.medium.empty()) add_scattered(ray, mirrored, sample.scattered);
+    if (parts.unscattered) {
+      add_unscattered(ray, mirrored, 0.0, f.reflectance(), sample.reflected, sample.clear);
+    }
+    if (scatters) add_scattered(ray, mirrored, first, sample.scattered);
   }
 
-  if (f.reflectance() < 1.0) {
+  if (f.reflectance() < 1.0 && (parts.unscattered || scatters)) {
     Response<3> refracted = rows;
     refracted.transmit(event);
     ray = {.origin = {}, .direction = refract(camera.direction, hit.normal, f, world_.index), .inside = true};
     ray.origin = world_.geometry->leave(hit, ray.direction);
-    add_unscattered(ray, refracted, 0.0, 1.0 - f.reflectance(), sample.unscattered, sample.clear);
-    if (!world_.medium.empty()) add_scattered(ray, refracted, sample.scattered);
+    if (parts.unscattered) {
+      add_unscattered(ray, refracted, 0.0, 1.0 - f.reflectance(), sample.unscattered, sample.clear);
+    }
+    if (scatters) add_scattered(ray, refracted, first, sample.scattered);
   }
   return sample;
 }
@@ -336,7 +378,13 @@ Vec3 refract(const Vec3& direction, const Vec3& normal, const Fresnel& f, double
 }
 
 PathSample sample_path(const World& world, const CameraRay& ray, Random& random, PathFaults& faults) {
-  return Walker(world, random, faults).run(ray);
+  const FirstNumbers first{random.uniform(), random.uniform(), random.uniform()};
+  return Walker(world, random, faults).run(ray, {}, first);
+}
+
+PathSample sample_path_parts(const World& world, const CameraRay& ray, const PathParts& parts,
+                             const FirstNumbers& first, Random& random, PathFaults& faults) {
+  return Walker(world, random, faults).run(ray, parts, first);
 }
 
 }  // namespace opaline::render

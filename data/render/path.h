@@ -30,6 +30,24 @@ struct World {
   Medium medium{};
   double index = kRefractiveIndex;
   const Guide* guide = nullptr;  ///< null: phase function alone
+  /// Queries inside the medium end where the free flight does; else they look for the surface and compare.
+  bool bounded_queries = true;
+};
+
+/// Parts of a sample, which can be estimated one by one and as often as each deserves.
+struct PathParts {
+  bool mirror = true;  ///< reflected where the ray meets the object, if nothing is in the way after that
+  bool unscattered =
+      true;  ///< the rest of the light that does not scatter: through the body, or reflected twice
+  bool scattered = true;
+};
+
+/// The first random numbers of scattered paths, in [0, 1): a low-discrepancy sequence over a pixel's samples
+/// can take their place.
+struct FirstNumbers {
+  double channel = 0;   ///< chooses the colour whose free flight is drawn
+  double distance = 0;  ///< draws that flight
+  double light = 0;     ///< chooses the guide's bin of directions
 };
 
 /// S0, S1, S2 in each colour.
@@ -63,6 +81,9 @@ struct PathFaults {
 };
 
 PathSample sample_path(const World& world, const CameraRay& ray, Random& random, PathFaults& faults);
+/// Some parts of it, from these first numbers; the rest is zero.
+PathSample sample_path_parts(const World& world, const CameraRay& ray, const PathParts& parts,
+                             const FirstNumbers& first, Random& random, PathFaults& faults);
 
 /// The unit direction of the ray that the surface reflects, and of the one that it refracts.
 Vec3 reflect(const Vec3& direction, const Vec3& normal);
