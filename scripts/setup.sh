@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what opaline needs from Debian 12's packages. Does nothing, and needs no rights, where all is there.
 #   scripts/setup.sh            build, test and run
-#   scripts/setup.sh --peers    also what the comparisons with PyTorch need
+#   scripts/setup.sh --peers    also what the comparisons with PyTorch and Mitsuba need
 #   scripts/setup.sh --fuzz     also what the libFuzzer programs need (tests/fuzz/CMakeLists.txt)
 set -euo pipefail
 
@@ -14,6 +14,9 @@ packages=(
 if [[ "${1:-}" == "--peers" ]]; then
   # OpenBLAS: with the reference BLAS that PyTorch would pull in, the comparison takes three times as long.
   packages+=(python3-torch python3-numpy libopenblas0-pthread)
+  # Mitsuba itself comes from PyPI into a virtual environment (bench/peers/mitsuba_render.py); it compiles with LLVM,
+  # and refuses 14 and stumbles over 15.
+  packages+=(python3-venv libllvm19)
 elif [[ "${1:-}" == "--fuzz" ]]; then
   packages+=(clang libclang-rt-14-dev libomp-dev)
 elif [[ $# -gt 0 ]]; then

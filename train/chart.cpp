@@ -140,7 +140,7 @@ std::string escape_html(std::string_view text) {
 std::string render_chart(const std::vector<ChartSeries>& series, const ChartOptions& options) {
   const double width = options.width;
   const double height = options.height;
-  Axis x{.begin = kLeft, .end = width - kRight};
+  Axis x{.begin = kLeft, .end = width - kRight, .log = options.log_x};
   Axis y{.begin = height - kBottom, .end = kTop, .log = options.log_y};
   Range x_range, y_range;
   for (const ChartSeries& one : series) {

@@ -22,6 +22,7 @@ struct ChartSeries {
 struct ChartOptions {
   std::string title = {};
   std::string x_label = {};
+  bool log_x = false;                    ///< points that are not positive are left out
   bool log_y = false;                    ///< points that are not positive are left out
   bool lines = true;                     ///< false: a scatter plot
   bool diagonal = false;                 ///< the line y = x, and one range for both axes

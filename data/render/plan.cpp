@@ -9,7 +9,7 @@ namespace {
 /// How far a pixel's own variance is believed, beside the mean over the object. The mirror image is sharp,
 /// and a few samples show where; much of the others' variance is in rare bright samples, which few pilots
 /// have seen.
-constexpr std::array<double, kPixelParts> kBelief = {0.9, 0.5, 0.5};
+constexpr std::array<double, kPixelParts> kBelief = {0.9, 0.75, 0.75};
 
 using Variances = std::array<double, kPixelParts>;
 

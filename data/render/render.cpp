@@ -13,8 +13,9 @@ namespace {
 /// Streams of one pixel, besides its number: pilot and final samples must not share numbers.
 enum class Pass : uint32_t { kFinal = 0, kPilot = 1, kBsdf = 2 };
 constexpr uint32_t kPasses = 4;
-/// Light that comes about as evenly as this from everywhere needs no guide.
-constexpr double kEven = 3.0;
+/// Light no denser than this (data/render/guide.h) needs no guide: refraction and extinction alone make up to
+/// 8 of a uniform sky.
+constexpr double kEven = 10.0;
 /// Samples of pixels without the object, which only the environment's detail needs.
 constexpr int64_t kBackgroundSamples = 16;
 /// Scattered paths of a pixel at least: pilots may not have seen what is rare.

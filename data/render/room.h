@@ -8,8 +8,9 @@
 namespace opaline::render {
 
 struct RoomOptions {
-  Range contrast{1e3, 1e5};  ///< radiance of a lamp / mean radiance of the walls, log-uniform
-  Range lamp{2.0, 15.0};     ///< angular radius of a lamp, degrees, uniform; at least 0.5
+  // Mild ones: sharp, bright lamps (contrasts to 1e5, radii from 2 degrees) take many more samples.
+  Range contrast{100.0, 1000.0};  ///< radiance of a lamp / mean radiance of the walls, log-uniform
+  Range lamp{10.0, 20.0};         ///< angular radius of a lamp, degrees, uniform; at least 0.5
 
   /// Rows of texels: the smallest lamp is four of them wide, at least 64.
   int64_t height() const;

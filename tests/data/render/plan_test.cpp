@@ -49,7 +49,7 @@ TEST_CASE("a plan reaches the error that is asked for, and no less is asked of i
   const PlanOptions options{
       .error = 0.5, .dop_error = 1e9, .cost = cost, .least = {1, 1, 1}, .most = 1 << 30};
   const auto counts = plan_samples(pilots, 12, 12, options);
-  CHECK(planned_error(pilots, counts) == Approx(0.5).epsilon(0.05));
+  CHECK(planned_error(pilots, counts) == Approx(0.5).epsilon(0.1));
 
   // Each freedom that is taken away costs.
   PlanOptions same_pixels = options, same_parts = options, neither = options;
@@ -58,7 +58,7 @@ TEST_CASE("a plan reaches the error that is asked for, and no less is asked of i
   const double free = planned_cost(counts, cost);
   for (const PlanOptions& o : {same_pixels, same_parts, neither}) {
     const auto other = plan_samples(pilots, 12, 12, o);
-    CHECK(planned_error(pilots, other) == Approx(0.5).epsilon(0.05));
+    CHECK(planned_error(pilots, other) == Approx(0.5).epsilon(0.1));
     CHECK(planned_cost(other, cost) > 1.1 * free);
   }
 }

@@ -127,7 +127,7 @@ TEST_CASE("thin and concave families are, convex ones are not") {
     }
     return static_cast<double>(outside) / pairs;
   };
-  CHECK(concavity(Family::kSuperquadric) < 0.03);
+  CHECK(concavity(Family::kSuperquadric) < 0.02);
   for (const Family family : {Family::kTube, Family::kVessel, Family::kSheet}) {
     INFO(kFamilyNames[static_cast<size_t>(family)]);
     CHECK(concavity(family) > 0.3);

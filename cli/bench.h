@@ -1,0 +1,11 @@
+// What `opaline bench` measures: a file each.
+#pragma once
+
+#include <CLI/CLI.hpp>
+
+namespace opaline::cli {
+
+void add_bench_render(CLI::App& bench);
+void add_bench_step(CLI::App& bench);
+
+}  // namespace opaline::cli

@@ -1,0 +1,164 @@
+#include "cli/bench_error.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <ctime>
+#include <limits>
+
+namespace opaline::cli {
+namespace {
+
+/// White, as networks see it: they clip there.
+constexpr double kWhite = 2.0;
+
+double process_seconds() {
+  timespec now{};
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+double median(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  const size_t half = values.size() / 2;
+  return values.size() % 2 == 1 ? values[half] : 0.5 * (values[half - 1] + values[half]);
+}
+
+Errors compare(const render::SceneRender& image, const Reference& reference) {
+  Errors errors;
+  for (size_t pixel = 0; pixel < reference.covered.size(); ++pixel) {
+    if (!reference.covered[pixel]) continue;
+    for (size_t k = 0; k < 9; ++k) {
+      const size_t i = 9 * pixel + k;
+      const double value = image.image[i], truth = reference.mean[i], variance = reference.variance[i];
+      errors.stokes[k / 3] += (value - truth) * (value - truth) - variance;
+      if (k >= 3) continue;
+      const double difference = std::min(value, kWhite) - std::min(truth, kWhite);
+      errors.clipped += difference * difference - (truth < kWhite ? variance : 0.0);
+    }
+  }
+  const double scale = 1.0 / (3.0 * static_cast<double>(std::max<int64_t>(reference.pixels, 1)));
+  for (double& mse : errors.stokes) mse *= scale;
+  errors.clipped *= scale;
+  return errors;
+}
+
+constexpr std::array<Saving, 1> kSavings = {{
+    {"guide", [](render::RenderOptions& options) { options.guide.photons = 0; }},
+}};
+
+}  // namespace
+
+std::span<const Saving> savings() {
+  return kSavings;
+}
+
+double Reference::mean_s0() const {
+  double sum = 0.0;
+  for (size_t pixel = 0; pixel < covered.size(); ++pixel) {
+    if (!covered[pixel]) continue;
+    for (size_t c = 0; c < 3; ++c) sum += mean[9 * pixel + c];
+  }
+  return sum / (3.0 * static_cast<double>(std::max<int64_t>(pixels, 1)));
+}
+
+std::array<double, 4> ErrorPoint::efficiency() const {
+  std::array<double, 4> result{};
+  for (size_t i = 0; i < result.size(); ++i) {
+    if (mse[i] > 0.0 && cost.cpu > 0.0) result[i] = 1.0 / (mse[i] * cost.cpu);
+  }
+  return result;
+}
+
+render::SceneRender ErrorMeter::render(render::RenderOptions options) {
+  options.seed = seed_;
+  options.number = number_++;
+  return render::render_scene(scene_, camera_, options);
+}
+
+Reference ErrorMeter::reference(int64_t spp, int64_t renders) {
+  Reference result;
+  const auto n = static_cast<double>(renders);
+  for (int64_t k = 0; k < renders; ++k) {
+    const render::SceneRender image = render({.spp = (spp + renders - 1) / renders});
+    const size_t values = image.image.size();
+    if (k == 0) {
+      result.mean.resize(values);
+      result.variance.resize(values);
+      result.covered.assign(values / 9, true);
+    }
+    // Welford's update of mean and sum of squares.
+    for (size_t i = 0; i < values; ++i) {
+      const double before = image.image[i] - result.mean[i];
+      result.mean[i] += before / static_cast<double>(k + 1);
+      result.variance[i] += before * (image.image[i] - result.mean[i]);
+    }
+    for (size_t pixel = 0; pixel < result.covered.size(); ++pixel) {
+      if (!(image.coverage[pixel] >= 1.0F)) result.covered[pixel] = false;
+    }
+    rendered_();
+  }
+  for (double& v : result.variance) v /= n * (n - 1.0);
+  result.pixels = std::count(result.covered.begin(), result.covered.end(), true);
+  result.spp = spp;
+  return result;
+}
+
+ErrorPoint ErrorMeter::measure(const Reference& reference, const Setting& setting) {
+  ErrorPoint point;
+  point.setting = setting;
+  point.samples = static_cast<double>(setting.options.spp);
+  std::vector<double> cpu, wall;
+  std::array<double, 4> sum{}, squares{};
+  for (int64_t k = 0; k < setting.renders; ++k) {
+    const auto begin = std::chrono::steady_clock::now();
+    const double cpu_begin = process_seconds();
+    const render::SceneRender image = render(setting.options);
+    cpu.push_back(process_seconds() - cpu_begin);
+    wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    const std::array<double, 4> errors = compare(image, reference).all();
+    for (size_t i = 0; i < errors.size(); ++i) {
+      sum[i] += errors[i];
+      squares[i] += errors[i] * errors[i];
+    }
+    rendered_();
+  }
+  point.cost = {median(cpu), median(wall)};
+  const auto n = static_cast<double>(setting.renders);
+  for (size_t i = 0; i < sum.size(); ++i) {
+    point.mse[i] = sum[i] / n;
+    if (setting.renders > 1) {
+      const double variance = std::max(0.0, squares[i] - n * point.mse[i] * point.mse[i]) / (n - 1.0);
+      point.standard_error[i] = std::sqrt(variance / n);
+    }
+  }
+  return point;
+}
+
+double error_slope(std::span<const ErrorPoint> points, size_t error, bool over_samples) {
+  double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0;
+  for (const ErrorPoint& point : points) {
+    if (!(point.mse[error] > 0.0 && point.cost.cpu > 0.0)) continue;
+    const double u = std::log(over_samples ? point.samples : point.cost.cpu), v = std::log(point.mse[error]);
+    n += 1.0;
+    x += u;
+    y += v;
+    xx += u * u;
+    xy += u * v;
+  }
+  const double spread = n * xx - x * x;
+  return n >= 2.0 && spread > 0.0 ? (n * xy - x * y) / spread : std::numeric_limits<double>::quiet_NaN();
+}
+
+double mean_efficiency(std::span<const ErrorPoint> points, size_t error) {
+  double n = 0.0, sum = 0.0;
+  for (const ErrorPoint& point : points) {
+    const double efficiency = point.efficiency()[error];
+    if (!(efficiency > 0.0)) continue;
+    n += 1.0;
+    sum += std::log(efficiency);
+  }
+  return n > 0.0 ? std::exp(sum / n) : 0.0;
+}
+
+}  // namespace opaline::cli

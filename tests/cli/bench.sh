@@ -1,0 +1,50 @@
+#!/usr/bin/env bash
+# `opaline bench render`: the table, the JSON object, the chart, the exported scenes, bad usage.
+set -euo pipefail
+opaline=$1
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+
+fail() { echo "$*" >&2; exit 1; }
+expect() { grep -q -- "$2" "$1" || { cat "$1" >&2; fail "expected '$2'"; }; }
+
+"$opaline" bench render --size 16 --spp 4,16 --repeats 2 --plot "$folder/chart.svg" --export "$folder/scenes" \
+  >"$folder/table.txt" 2>"$folder/progress.txt"
+for scene in uniform flash room dense clear contrast contrast-uniform; do expect "$folder/table.txt" "^$scene: "; done
+expect "$folder/table.txt" 'samples .*MSE S0 .*MSE S1 .*MSE S2 .*MSE S0 clipped'
+expect "$folder/table.txt" 'slope of log MSE over log CPU time'
+expect "$folder/table.txt" 'guide on / off at 16: efficiency  S0 x'
+expect "$folder/table.txt" '^room of contrast 1e5 over uniform light'
+expect "$folder/chart.svg" 'slope -1'
+python3 - "$folder" <<'PYTHON'
+import json, pathlib, sys
+import xml.etree.ElementTree
+folder = pathlib.Path(sys.argv[1])
+xml.etree.ElementTree.parse(folder / "chart.svg")
+header = (folder / "scenes" / "body.ply").read_bytes().split(b"end_header\n")
+vertices, faces = (int(line.split()[-1]) for line in header[0].decode().splitlines() if line.startswith("element"))
+assert len(header[1]) == 12 * vertices + 13 * faces, (len(header[1]), vertices, faces)
+for name in ("uniform", "flash"):
+    scene = json.loads((folder / "scenes" / f"{name}.json").read_text())
+    reference = scene["reference"]
+    assert len(reference["S0"]["mean"]) == len(reference["S2"]["variance"]) == len(reference["covered"]) == 256
+    assert (scene["flash"]["radiance"] > 0) == (name == "flash") == (scene["environment_radiance"] == 0), scene
+PYTHON
+
+# Random numbers are keyed: but for the times two runs are the same.
+for run in 1 2; do
+  "$opaline" bench render --size 16 --spp 4 --repeats 2 --scenes flash --no-savings --json >"$folder/$run.json" 2>/dev/null
+done
+python3 - "$folder/1.json" "$folder/2.json" <<'PYTHON'
+import json, sys
+one, two = (json.load(open(path)) for path in sys.argv[1:])
+points = [run["scenes"][0]["points"][0] for run in (one, two)]
+assert points[0]["mse"] == points[1]["mse"], points
+assert all(points[0]["mse"][name] > 0 for name in ("S0", "S1", "S2")), points
+assert points[0]["cpu_s"] > 0 and points[0]["efficiency"]["S0"] > 0, points
+PYTHON
+
+status=0
+"$opaline" bench render --scenes nowhere 2>"$folder/error.txt" || status=$?
+[[ $status -eq 2 ]] || fail "an unknown scene gave exit code $status"
+expect "$folder/error.txt" "no scene is called 'nowhere'; there are uniform"
