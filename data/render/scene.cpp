@@ -24,7 +24,7 @@ double mean(const Rgb& c) {
 template <class T>
 std::optional<T> draw_from(const Collection<T>& collection, double share, std::string_view what,
                            std::string& name, Random& random) {
-  constexpr int kMostTries = 100;
+  constexpr int kMostTries = 1000;
   const bool wanted = random.uniform() < share && !collection.names.empty();
   for (int i = 0; wanted && i < kMostTries; ++i) {
     const size_t index = random.below(static_cast<uint32_t>(collection.names.size()));
