@@ -62,6 +62,8 @@ int render(const RenderArguments& arguments) {
              arguments.out.string(), result.rendered, result.kept, result.redrawn, result.clamped,
              result.faults.lost, result.faults.paths);
   if (result.damaged > 0) fmt::print("{} damaged files were rendered again\n", result.damaged);
+  if (!result.skipped.empty()) fmt::print("{} files could not be used:\n", result.skipped.size());
+  for (const auto& [file, reason] : result.skipped) fmt::print("  {}\n", reason);
   if (!result.complete) {
     fmt::print("interrupted; the same command goes on\n");
     return 128 + signals.signal();

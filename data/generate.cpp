@@ -66,7 +66,7 @@ struct Rendered {
   int64_t redrawn = 0;
 };
 
-Rendered render_number(const GenerateConfig& config, int64_t number) {
+Rendered render_number(const GenerateConfig& config, const AssetFolders& assets, int64_t number) {
   const auto begin = std::chrono::steady_clock::now();
   const auto id = static_cast<uint32_t>(number);
   Rendered result;
@@ -78,7 +78,8 @@ Rendered render_number(const GenerateConfig& config, int64_t number) {
                  number, attempt);
     }
     const render::SceneModel scene =
-        render::draw_scene(config.ranges, config.camera, config.seed, id, attempt);
+        render::draw_scene(config.ranges, config.camera, config.seed, id, attempt,
+                           number < config.train ? assets.train() : assets.test());
     if (!render::likely_well_framed(scene, config.camera)) {
       ++result.redrawn;
       continue;
@@ -120,14 +121,14 @@ Rendered render_number(const GenerateConfig& config, int64_t number) {
   return result;
 }
 
-void compare_with_existing(const GenerateConfig& config, const fs::path& root) {
+void compare_with_existing(const std::string& text, const fs::path& root) {
   if (!fs::exists(root / "dataset.toml")) return;
   const SceneSetInfo before = read_scene_set_info(root);
-  if (before.config_text == config.text() && before.generator_version == kVersion) return;
+  if (before.config_text == text && before.generator_version == kVersion) return;
   fail_usage(root.string(),
              "holds a data set of another config, generator {}:\n{}\nasked for now, generator {}:\n{}\n"
              "Choose another folder, or remove this one",
-             before.generator_version, before.config_text, kVersion, config.text());
+             before.generator_version, before.config_text, kVersion, text);
 }
 
 /// What a killed run was writing (core/file.h). Nobody else writes here while we hold the lock.
@@ -143,8 +144,10 @@ void remove_half_written(const fs::path& folder) {
 /// One run of generate().
 class Generation {
  public:
-  Generation(const GenerateConfig& config, const fs::path& root, const GenerateOptions& options)
+  Generation(const GenerateConfig& config, const AssetFolders& assets, const fs::path& root,
+             const GenerateOptions& options)
       : config_(config),
+        assets_(assets),
         root_(root),
         options_(options),
         indices_{Index(root / "train.jsonl", root, 0, config.train),
@@ -163,6 +166,7 @@ class Generation {
       if (stopped_) break;
     }
     for (const Index& index : indices_) index.sort();
+    result_.skipped = assets_.skipped();
     if (!result_.complete && !stopped_) {
       fail(root_.string(), "files come back damaged after {} attempts to render them: is the disk sound?",
            kMostRounds);
@@ -210,7 +214,7 @@ class Generation {
   }
 
   void render_one(int64_t number) {
-    Rendered made = render_number(config_, number);
+    Rendered made = render_number(config_, assets_, number);
     const WrittenScene written = write_scene(root_, number, made.images, made.record);
     const std::lock_guard lock(mutex_);
     index_of(number).add(number, made.record);
@@ -249,6 +253,7 @@ class Generation {
   }
 
   const GenerateConfig& config_;
+  const AssetFolders& assets_;
   const fs::path& root_;
   const GenerateOptions& options_;
   std::array<Index, 2> indices_;
@@ -265,7 +270,9 @@ GenerateResult generate(const GenerateConfig& config, const fs::path& root, cons
     fail_usage("render", "no scenes to render: set render.train and render.test");
   }
   const FileLock lock(root / "lock", "is rendering into this folder; wait for it or choose another --out");
-  compare_with_existing(config, root);
+  const AssetFolders assets(config.assets, config.seed, config.train > 0, config.test > 0);
+  const std::string text = config.text() + assets.text();
+  compare_with_existing(text, root);
   std::error_code error;
   fs::create_directories(root / "scenes", error);
   if (error) fail((root / "scenes").string(), "cannot make the folder: {}", error.message());
@@ -279,8 +286,8 @@ GenerateResult generate(const GenerateConfig& config, const fs::path& root, cons
                         .width = config.camera.width,
                         .height = config.camera.height,
                         .bsdf = std::string(render::kBsdfReadingNames[static_cast<size_t>(config.bsdf)]),
-                        .config_text = config.text()});
-  return Generation(config, root, options).run();
+                        .config_text = text});
+  return Generation(config, assets, root, options).run();
 }
 
 }  // namespace opaline

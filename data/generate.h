@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
+#include <string>
 
 #include "data/generate_config.h"
 #include "data/render/path.h"
@@ -29,6 +31,8 @@ struct GenerateResult {
   int64_t redrawn = 0;   ///< draws whose object left the picture or missed it
   int64_t clamped = 0;   ///< values too bright for half floats
   render::PathFaults faults;
+  /// Files of the config's folders that scenes drew and could not use, with the reason.
+  std::map<std::string, std::string> skipped;
   bool complete = false;  ///< every scene is there and verified
 };
 

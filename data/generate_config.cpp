@@ -47,12 +47,22 @@ std::string GenerateConfig::text() const {
     names.push_back(render::kFamilyNames[static_cast<size_t>(family)]);
   }
   const auto range = [](const render::Range& r) { return fmt::format("[{}, {}]", r.low, r.high); };
-  return fmt::format(
+  std::string result = fmt::format(
       "seed = {}\nsize = {}\nspp = {}\nbsdf = \"{}\"\nphotons = {}\nfamilies = [\"{}\"]\nradius = {}\n"
-      "offset = {}\nbump = {}\nsigma_t = {}\nalbedo = {}\ng = {}\nflash = {}\nenvironment = {}\n",
+      "offset = {}\nbump = {}\nsigma_t = {}\nalbedo = {}\ng = {}\nflash = {}\nenvironment = {}\n"
+      "contrast = {}\nlamp = {}\n",
       seed, camera.width, spp, render::kBsdfReadingNames[static_cast<size_t>(bsdf)], photons,
       fmt::join(names, "\", \""), range(ranges.radius), ranges.offset, ranges.bump, range(ranges.sigma_t),
-      range(ranges.albedo), range(ranges.g), range(ranges.flash), range(ranges.environment));
+      range(ranges.albedo), range(ranges.g), range(ranges.flash), range(ranges.environment),
+      range(ranges.room.contrast), range(ranges.room.lamp));
+  if (assets.any()) {
+    result += fmt::format(
+        "objects = \"{}\"\nobject_share = {}\nbumps = \"{}\"\nbump_share = {}\npanoramas = \"{}\"\n"
+        "panorama_share = {}\npanorama_height = {}\ntest_share = {}\n",
+        assets.objects, ranges.object_share, assets.bumps, ranges.bump_share, assets.panoramas,
+        ranges.panorama_share, assets.panorama_height, assets.test_share);
+  }
+  return result;
 }
 
 GenerateConfig read_generate_config(const TomlTable& table) {
@@ -81,6 +91,17 @@ GenerateConfig read_generate_config(const TomlTable& table) {
   r.g = read_range(table, "g", r.g, {.min = -0.99, .max = 0.99});
   r.flash = read_range(table, "flash", r.flash, {.min = 0.0, .max = 1e4});
   r.environment = read_range(table, "environment", r.environment, {.min = 1e-6, .max = 1e3});
+  r.room.contrast = read_range(table, "contrast", r.room.contrast, {.min = 1.0, .max = 1e7});
+  r.room.lamp = read_range(table, "lamp", r.room.lamp, {.min = 0.5, .max = 90.0});
+  c.assets.objects = table.text("objects", "");
+  r.object_share = table.real("object_share", r.object_share, {.min = 0.0, .max = 1.0});
+  c.assets.bumps = table.text("bumps", "");
+  r.bump_share = table.real("bump_share", r.bump_share, {.min = 0.0, .max = 1.0});
+  c.assets.panoramas = table.text("panoramas", "");
+  r.panorama_share = table.real("panorama_share", r.panorama_share, {.min = 0.0, .max = 1.0});
+  c.assets.panorama_height =
+      table.integer("panorama_height", c.assets.panorama_height, {.min = 16, .max = 4096});
+  c.assets.test_share = table.real("test_share", c.assets.test_share, {.min = 0.0, .max = 1.0});
   return c;
 }
 

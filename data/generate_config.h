@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <string>
 
+#include "data/assets.h"
 #include "data/render/render.h"
 #include "data/toml_config.h"
 
@@ -16,6 +17,7 @@ struct GenerateConfig {
   uint64_t seed = 1;
   render::Camera camera{};
   render::SceneRanges ranges{};
+  AssetConfig assets{};
   int64_t spp = 32;  ///< samples a pixel
   render::BsdfReading bsdf = render::BsdfReading::kClear;
   int64_t photons = 8192;  ///< light sub-paths of a scene's guide

@@ -61,6 +61,11 @@ Environment::Environment(std::vector<Rgb> texels, int64_t width) : texels_(std::
     }
   }
   height_ = count / width;
+  accumulate();
+}
+
+void Environment::accumulate() {
+  cumulative_.clear();
   cumulative_.reserve(texels_.size());
   double sum = 0.0;
   for (int64_t row = 0; row < height_; ++row) {
@@ -156,6 +161,15 @@ void Environment::scale(double factor) {
   for (Rgb& texel : texels_)
     for (double& value : texel) value *= factor;
   for (double& value : cumulative_) value *= factor;
+}
+
+void Environment::turn(double share) {
+  const auto columns = static_cast<std::ptrdiff_t>(std::floor(share * static_cast<double>(width_)));
+  for (int64_t row = 0; row < height_; ++row) {
+    const auto first = texels_.begin() + row * width_;
+    std::rotate(first, first + (columns % width_ + width_) % width_, first + width_);
+  }
+  accumulate();
 }
 
 bool Flash::hit(const Vec3& origin, const Vec3& direction) const {

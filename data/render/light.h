@@ -39,8 +39,11 @@ class Environment {
   Vec3 sample(Random& random) const;
 
   void scale(double factor);
+  /// Turns it around the vertical axis by this share of a whole turn, rounded to columns.
+  void turn(double share);
 
  private:
+  void accumulate();
   // Sum over sub-texel points of f(direction, radiance, solid angle).
   template <class F>
   void integrate(const F& f) const;

@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <map>
 #include <numbers>
+#include <numeric>
 #include <utility>
 
 namespace opaline::render {
@@ -78,6 +80,63 @@ Mesh cube_sphere(int sides) {
   return mesh;
 }
 
+void remove_degenerate(Mesh& mesh) {
+  float largest = 0.0F;
+  for (const auto& v : mesh.vertices)
+    for (const float c : v) largest = std::max(largest, std::abs(c));
+  // Heights under this are noise: coordinates are rounded to 2^-24 of the largest.
+  const double least = 0x1p-22 * static_cast<double>(largest);
+
+  for (int pass = 0; pass < 8; ++pass) {
+    std::vector<bool> taken(mesh.vertices.size(), false);
+    std::vector<std::pair<uint32_t, uint32_t>> merges;                           // from, to
+    std::map<std::pair<uint32_t, uint32_t>, std::pair<size_t, uint32_t>> flips;  // edge: triangle, its point
+    for (size_t i = 0; i < mesh.triangles.size(); ++i) {
+      const auto& t = mesh.triangles[i];
+      std::array<double, 3> length{};
+      for (size_t e = 0; e < 3; ++e) length[e] = norm(point(mesh, t[(e + 1) % 3]) - point(mesh, t[e]));
+      const auto longest =
+          static_cast<size_t>(std::max_element(length.begin(), length.end()) - length.begin());
+      const auto shortest =
+          static_cast<size_t>(std::min_element(length.begin(), length.end()) - length.begin());
+      const double twice =
+          norm(cross(point(mesh, t[1]) - point(mesh, t[0]), point(mesh, t[2]) - point(mesh, t[0])));
+      if (twice > least * length[longest]) continue;
+      if (taken[t[0]] || taken[t[1]] || taken[t[2]]) continue;
+      for (const uint32_t v : t) taken[v] = true;
+      if (length[shortest] <= 2.0 * least) {
+        merges.emplace_back(t[shortest], t[(shortest + 1) % 3]);
+      } else {
+        flips[{t[(longest + 1) % 3], t[longest]}] = {i, t[(longest + 2) % 3]};
+      }
+    }
+    if (merges.empty() && flips.empty()) return;
+
+    if (!flips.empty()) {
+      for (auto& t : mesh.triangles) {
+        for (size_t e = 0; e < 3; ++e) {
+          const auto found = flips.find({t[e], t[(e + 1) % 3]});
+          if (found == flips.end()) continue;
+          // (a, b, c) behind the edge and the degenerate (b, a, w): (a, w, c) and (w, b, c) instead.
+          const uint32_t a = t[e], b = t[(e + 1) % 3], c = t[(e + 2) % 3];
+          const auto [other, w] = found->second;
+          t = {a, w, c};
+          mesh.triangles[other] = {w, b, c};
+          flips.erase(found);
+          break;
+        }
+      }
+    }
+    std::vector<uint32_t> to(mesh.vertices.size());
+    std::iota(to.begin(), to.end(), 0U);
+    for (const auto& [from, target] : merges) to[from] = target;
+    std::erase_if(mesh.triangles, [&](auto& t) {
+      for (uint32_t& v : t) v = to[v];
+      return t[0] == t[1] || t[1] == t[2] || t[2] == t[0];
+    });
+  }
+}
+
 double longest_edge(const Mesh& mesh) {
   double longest2 = 0.0;
   for (const auto& t : mesh.triangles) {
@@ -97,25 +156,38 @@ double enclosed_volume(const Mesh& mesh) {
 }
 
 std::string describe_leak(const Mesh& mesh) {
-  // A closed surface has each directed edge once and its reverse once.
-  std::vector<std::pair<uint32_t, uint32_t>> edges, reversed;
+  // A closed surface has each directed edge once and its reverse once. Edges are listed by their first
+  // vertex.
+  std::vector<uint32_t> begin(mesh.vertices.size() + 1, 0);
   for (const auto& t : mesh.triangles) {
     for (size_t e = 0; e < 3; ++e) {
-      const uint32_t a = t[e], b = t[(e + 1) % 3];
-      if (a == b) return fmt::format("a triangle uses vertex {} twice", a);
-      edges.emplace_back(a, b);
-      reversed.emplace_back(b, a);
+      if (t[e] >= mesh.vertices.size()) {
+        return fmt::format("a triangle uses vertex {} of {}", t[e], mesh.vertices.size());
+      }
+      if (t[e] == t[(e + 1) % 3]) return fmt::format("a triangle uses vertex {} twice", t[e]);
+      ++begin[t[e] + 1];
     }
   }
-  std::sort(edges.begin(), edges.end());
-  std::sort(reversed.begin(), reversed.end());
-  for (size_t i = 0; i + 1 < edges.size(); ++i)
-    if (edges[i] == edges[i + 1])
-      return fmt::format("edge {}-{} has two triangles on one side", edges[i].first, edges[i].second);
-  for (size_t i = 0; i < edges.size(); ++i)
-    if (edges[i] != reversed[i])
-      return fmt::format("edge {}-{} has a triangle on one side only", std::min(edges[i], reversed[i]).first,
-                         std::min(edges[i], reversed[i]).second);
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  std::vector<uint32_t> ends(3 * mesh.triangles.size()), next(begin.begin(), begin.end() - 1);
+  for (const auto& t : mesh.triangles)
+    for (size_t e = 0; e < 3; ++e) ends[next[t[e]]++] = t[(e + 1) % 3];
+  for (uint32_t a = 0; a < mesh.vertices.size(); ++a) {
+    const auto first = ends.begin() + begin[a], last = ends.begin() + begin[a + 1];
+    std::sort(first, last);
+    if (const auto twice = std::adjacent_find(first, last); twice != last) {
+      return fmt::format("edge {}-{} has two triangles on one side", std::min(a, *twice),
+                         std::max(a, *twice));
+    }
+  }
+  for (uint32_t a = 0; a < mesh.vertices.size(); ++a) {
+    for (uint32_t i = begin[a]; i < begin[a + 1]; ++i) {
+      const uint32_t b = ends[i];
+      if (!std::binary_search(ends.begin() + begin[b], ends.begin() + begin[b + 1], a)) {
+        return fmt::format("edge {}-{} has a triangle on one side only", std::min(a, b), std::max(a, b));
+      }
+    }
+  }
   return "";
 }
 

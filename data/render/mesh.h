@@ -19,6 +19,11 @@ struct Mesh {
 /// vertices, so the mesh is closed whatever the vertices are moved to.
 Mesh cube_sphere(int n);
 
+/// Removes triangles without a certain normal: lower than the rounding of their coordinates. Of a short edge
+/// the two ends become one; a point on the opposite edge gets the neighbour behind that edge instead. What
+/// was closed stays closed, except where a piece is that small all over.
+void remove_degenerate(Mesh& mesh);
+
 /// Length of the longest edge.
 double longest_edge(const Mesh& mesh);
 

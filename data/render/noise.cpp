@@ -1,5 +1,6 @@
 #include "data/render/noise.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -60,6 +61,26 @@ double fractal_noise(const Vec3& p, uint32_t key, int octaves) {
     frequency *= 2.0;
   }
   return sum;
+}
+
+double cell_noise(const Vec3& p, uint32_t key) {
+  const double fx = std::floor(p.x), fy = std::floor(p.y), fz = std::floor(p.z);
+  const auto x = static_cast<int32_t>(fx), y = static_cast<int32_t>(fy), z = static_cast<int32_t>(fz);
+  double nearest2 = 1e30;
+  for (int32_t k = -1; k <= 1; ++k) {
+    for (int32_t j = -1; j <= 1; ++j) {
+      for (int32_t i = -1; i <= 1; ++i) {
+        const uint32_t h =
+            mix(static_cast<uint32_t>(x + i) * 0x9E3779B1U ^
+                mix(static_cast<uint32_t>(y + j) * 0x85EBCA77U ^ mix(static_cast<uint32_t>(z + k) ^ key)));
+        const auto part = [h](unsigned shift) { return (h >> shift & 0x3FFU) / 1024.0; };
+        const Vec3 way{fx + i + part(0) - p.x, fy + j + part(10) - p.y, fz + k + part(20) - p.z};
+        nearest2 = std::min(nearest2, dot(way, way));
+      }
+    }
+  }
+  // Points beyond the neighbouring cells are at least 1 away.
+  return std::sqrt(std::min(nearest2, 1.0));
 }
 
 }  // namespace opaline::render

@@ -8,24 +8,45 @@
 
 #include "core/error.h"
 #include "data/render/render.h"
-#include "data/render/room.h"
 
 namespace opaline::render {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
-/// Streams of an attempt at a scene: the object and its light, the room.
-constexpr uint32_t kStreamsPerAttempt = 2;
-
-double draw(const Range& range, Random& random) {
-  return random.uniform(range.low, range.high);
-}
+/// Streams of an attempt at a scene: the object and its light, the room, what is taken from the assets.
+constexpr uint32_t kStreamsPerAttempt = 3;
 
 double mean(const Rgb& c) {
   return (c[0] + c[1] + c[2]) / 3.0;
 }
 
+/// One of the collection, with this probability; its name is put into `name`.
+template <class T>
+std::optional<T> draw_from(const Collection<T>& collection, double share, std::string_view what,
+                           std::string& name, Random& random) {
+  constexpr int kMostTries = 1000;
+  const bool wanted = random.uniform() < share && !collection.names.empty();
+  for (int i = 0; wanted && i < kMostTries; ++i) {
+    const size_t index = random.below(static_cast<uint32_t>(collection.names.size()));
+    std::optional<T> found = collection.load(index);
+    if (!found) continue;
+    name = collection.names[index];
+    return found;
+  }
+  if (wanted) {
+    fail_usage("render", "{} draws in a row from {} {} gave none that can be used", kMostTries,
+               collection.names.size(), what);
+  }
+  return std::nullopt;
+}
+
 }  // namespace
+
+std::vector<Family> all_families() {
+  std::vector<Family> families;
+  for (size_t i = 0; i < kFamilyNames.size(); ++i) families.push_back(static_cast<Family>(i));
+  return families;
+}
 
 CameraRay Camera::ray(double x, double y) const {
   const double half = std::tan(0.5 * field * kPi / 180.0);
@@ -41,34 +62,48 @@ double Camera::pixel_size(double z) const {
 }
 
 SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t seed, uint32_t number,
-                      uint32_t attempt) {
-  if (ranges.families.empty()) fail_usage("render", "no family of shapes to draw objects from");
-  const auto stream = attempt * kStreamsPerAttempt;
+                      uint32_t attempt, const Assets& assets) {
+  const uint32_t stream = attempt * kStreamsPerAttempt;
   Random random(seed, Purpose::kScene, stream, number);
   const Family family = ranges.families[random.below(static_cast<uint32_t>(ranges.families.size()))];
-  const double radius = draw(ranges.radius, random);
+  const double radius = draw_uniform(ranges.radius, random);
   const Vec3 offset{random.uniform(-ranges.offset, ranges.offset),
                     random.uniform(-ranges.offset, ranges.offset),
                     random.uniform(-ranges.offset, ranges.offset)};
 
   SceneModel scene;
-  for (double& value : scene.medium.sigma_t) value = draw(ranges.sigma_t, random);
-  for (double& value : scene.medium.albedo) value = draw(ranges.albedo, random);
-  scene.medium.g = draw(ranges.g, random);
-  scene.light.flash.radiance = draw(ranges.flash, random);
-  const double share =
-      ranges.environment.low * std::pow(ranges.environment.high / ranges.environment.low, random.uniform());
+  for (double& value : scene.medium.sigma_t) value = draw_uniform(ranges.sigma_t, random);
+  for (double& value : scene.medium.albedo) value = draw_uniform(ranges.albedo, random);
+  scene.medium.g = draw_uniform(ranges.g, random);
+  scene.light.flash.radiance = draw_uniform(ranges.flash, random);
+  const double share = draw_log_uniform(ranges.environment, random);
 
-  Random room(seed, Purpose::kScene, stream + 1, number);
-  scene.light.environment = make_room(room);
+  scene.object = fmt::format("{}-{}-{}", kFamilyNames[static_cast<size_t>(family)], seed, number);
+  scene.environment = fmt::format("room-{}-{}", seed, number);
+  std::string bumps;
+  Random choice(seed, Purpose::kScene, stream + 2, number);
+  auto object = draw_from(assets.objects, ranges.object_share, "objects", scene.object, choice);
+  const auto map = draw_from(assets.bumps, ranges.bump_share, "bump maps", bumps, choice);
+  auto panorama = draw_from(assets.panoramas, ranges.panorama_share, "panoramas", scene.environment, choice);
+  if (map) scene.object += " + " + bumps;
+
+  if (panorama) {
+    scene.light.environment = std::move(*panorama);
+    scene.light.environment.turn(choice.uniform());
+  } else {
+    Random room(seed, Purpose::kScene, stream + 1, number);
+    scene.light.environment = make_room(room, ranges.room);
+  }
   const double wanted = share * scene.light.flash.irradiance({});
-  scene.light.environment.scale(wanted / mean(scene.light.environment.irradiance({0.0, 0.0, 1.0})));
+  const double given = mean(scene.light.environment.irradiance({0.0, 0.0, 1.0}));
+  if (!(given > 0.0)) fail_usage("render", "{} sheds no light on the object", scene.environment);
+  scene.light.environment.scale(wanted / given);
 
-  // Quads of the body at the depth of its nearest point: a quarter of a great circle in `sides` steps, some
-  // of them up to twice as long as others.
-  const double facet = 0.5 * camera.pixel_size(offset.z + radius);
-  const int sides = std::clamp(static_cast<int>(std::ceil(0.5 * kPi * radius / facet)), 16, 1024);
-  Mesh mesh = make_shape({.family = family, .sides = sides, .radius = radius, .bump = ranges.bump}, random);
+  const ShapeOptions shape{.radius = radius,
+                           .bump = ranges.bump,
+                           .facet = [&](const Vec3& p) { return 0.5 * camera.pixel_size(p.z + offset.z); },
+                           .map = map ? &*map : nullptr};
+  Mesh mesh = finish_body(object ? std::move(*object) : draw_body(family, random), shape, random);
   scene.low = scene.high = offset;
   for (auto& v : mesh.vertices) {
     v = {v[0] + static_cast<float>(offset.x), v[1] + static_cast<float>(offset.y),
@@ -79,8 +114,6 @@ SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t 
                   std::max(scene.high.z, double{v[2]})};
   }
   scene.geometry = make_mesh_geometry(mesh);
-  scene.object = fmt::format("{}-{}-{}", kFamilyNames[static_cast<size_t>(family)], seed, number);
-  scene.environment = fmt::format("room-{}-{}", seed, number);
   return scene;
 }
 

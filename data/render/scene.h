@@ -6,7 +6,10 @@
 #include <string>
 #include <vector>
 
+#include "data/render/assets.h"
 #include "data/render/path.h"
+#include "data/render/range.h"
+#include "data/render/room.h"
 #include "data/render/shapes.h"
 
 namespace opaline::render {
@@ -27,15 +30,12 @@ struct Camera {
   double pixel_size(double z) const;
 };
 
-struct Range {
-  double low = 0;
-  double high = 0;
-};
+/// Every family.
+std::vector<Family> all_families();
 
 /// Ranges that scenes are drawn from, uniformly; the environment's share log-uniformly.
 struct SceneRanges {
-  std::vector<Family> families = {Family::kHarmonics, Family::kSuperquadric, Family::kBlend,
-                                  Family::kTwisted};
+  std::vector<Family> families = all_families();
   Range radius{0.14, 0.21};  ///< of the ball around the object, metres
   double offset = 0.03;      ///< of its centre from the cube's, along each axis at most, metres
   double bump = 0.25;        ///< largest slope of bumps
@@ -44,6 +44,10 @@ struct SceneRanges {
   Range g{0.0, 0.9};
   Range flash{35.0, 75.0};       ///< radiance
   Range environment{0.05, 0.5};  ///< irradiance at the cube's centre facing the camera / the flash's there
+  RoomOptions room{};
+  double object_share = 1.0;    ///< of scenes whose object is from the assets, where there are any
+  double bump_share = 1.0;      ///< the same of bumps
+  double panorama_share = 1.0;  ///< the same of environments
 };
 
 /// Everything that a scene consists of. Movable; `world()` points into it.
@@ -60,10 +64,11 @@ struct SceneModel {
   }
 };
 
-/// A scene is a function of (seed, number) alone. Training and test scenes have different numbers, hence
-/// other objects and environments. Facets are at most half a pixel of `camera` wide.
+/// A scene is a function of (seed, number) and the assets of its split. Training and test scenes have
+/// different numbers, hence other bodies and rooms. No edge of a facet is longer than half a pixel of
+/// `camera` at its depth.
 SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t seed, uint32_t number,
-                      uint32_t attempt = 0);
+                      uint32_t attempt = 0, const Assets& assets = {});
 
 /// Whether the object covers a pixel and leaves the image's border free, judged by one ray through the middle
 /// of each pixel: quick, before a scene is rendered.

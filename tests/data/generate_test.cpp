@@ -169,4 +169,11 @@ TEST_CASE("the table [render] is read strictly") {
   CHECK_THROWS_AS(read("[render]\nradius = [0.1, 0.25]\noffset = 0.1\n"), UsageError);
   CHECK_THROWS_AS(read("[render]\nspp = 0\n"), UsageError);
   CHECK_THROWS_WITH(read("[render]\nfamily = 1\n"), Catch::Contains("families"));
+  const GenerateConfig rooms = read("[render]\ncontrast = [10, 100]\nlamp = [5, 6.5]\nobjects = \"some\"\n");
+  CHECK(rooms.ranges.room.contrast.high == 100.0);
+  CHECK(rooms.ranges.room.lamp.high == 6.5);
+  CHECK_THAT(rooms.text(), Catch::Contains("lamp = [5, 6.5]") && Catch::Contains("objects = \"some\""));
+  CHECK_THROWS_AS(read("[render]\ncontrast = [0, 100]\n"), UsageError);
+  CHECK_THROWS_AS(read("[render]\nlamp = [0.1, 2]\n"), UsageError);
+  CHECK_THROWS_AS(read("[render]\ntest_share = 1.5\n"), UsageError);
 }

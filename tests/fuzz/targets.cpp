@@ -7,6 +7,9 @@
 #include "core/error.h"
 #include "core/safetensors.h"
 #include "data/exr.h"
+#include "data/hdr.h"
+#include "data/mesh_file.h"
+#include "data/mesh_repair.h"
 #include "data/npy.h"
 #include "data/png.h"
 #include "data/released.h"
@@ -89,6 +92,55 @@ std::vector<Bytes> png_seeds() {
 
 void parse_png(std::span<const std::byte> bytes) {
   decode_png(bytes, "fuzz.png", {.max_side = 2048, .max_pixels = 1 << 20});
+}
+
+std::vector<Bytes> hdr_seeds() {
+  const std::string header = "#?RADIANCE\nEXPOSURE=1.5\nFORMAT=32-bit_rle_rgbe\n\n";
+  // A new-style row of 8 pixels (a run of five and three values a channel), then a flat and an old-style one.
+  std::string coded = "-Y 2 +X 8\n";
+  for (int row = 0; row < 2; ++row) {
+    coded += std::string("\2\2\0\10", 4);
+    for (int channel = 0; channel < 4; ++channel) coded += "\x85\x70\3abc";
+  }
+  const std::string flat = "-Y 1 +X 4\n\x80\x40\x10\x81\1\1\1\2abcd";
+  return {to_bytes(header + coded), to_bytes(header + flat)};
+}
+
+void parse_hdr(std::span<const std::byte> bytes) {
+  decode_hdr(bytes, "fuzz.hdr", {.max_side = 2048, .max_pixels = 1 << 20});
+}
+
+// --- meshes, with the repair that follows
+
+void parse_mesh(render::Surface surface) {
+  repair_mesh(surface, "fuzz");
+}
+
+std::vector<Bytes> obj_seeds() {
+  return {to_bytes(
+      "# box\nmtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n"
+      "vt 0 0\nvn 0 0 1\nusemtl a\nf 4 3 2 1\nf 5/1 6/1 7/1 8/1\nf 1//1 2//1 \\\n 6//1 5//1\nf 2 3 7 6\n"
+      "f -6/1/1 -5/1/1 -1/1/1 -2/1/1\nf 4 1 5 8\n")};
+}
+
+void parse_obj(std::span<const std::byte> bytes) {
+  parse_mesh(decode_obj(to_text(bytes), "fuzz.obj", {.max_vertices = 1 << 16, .max_triangles = 1 << 16}));
+}
+
+std::vector<Bytes> ply_seeds() {
+  const std::string elements =
+      "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 4\n"
+      "property list uchar uint8 vertex_indices\nend_header\n";
+  std::string binary = "ply\nformat binary_little_endian 1.0\n" + elements;
+  const std::string zero(4, '\0'), one("\0\0\x80\x3f", 4);
+  binary += zero + zero + zero + one + zero + zero + zero + one + zero + zero + zero + one;
+  binary += std::string("\3\0\2\1\3\0\1\3\3\0\3\2\3\1\2\3", 16);
+  return {to_bytes(binary), to_bytes("ply\nformat ascii 1.0\ncomment x\n" + elements +
+                                     "0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n")};
+}
+
+void parse_ply(std::span<const std::byte> bytes) {
+  parse_mesh(decode_ply(bytes, "fuzz.ply", {.max_vertices = 1 << 16, .max_triangles = 1 << 16}));
 }
 
 std::vector<Bytes> npy_seeds() {
@@ -175,10 +227,13 @@ void parse_csv(std::span<const std::byte> bytes) {
   for_each_line(to_text(bytes), [](std::string_view line) { parse_released_record(line, "train.csv:1"); });
 }
 
-constexpr std::array<Target, 7> kTargets = {{
+constexpr std::array<Target, 10> kTargets = {{
     {"safetensors", safetensors_seeds, parse_safetensors},
     {"exr", exr_seeds, parse_exr},
     {"png", png_seeds, parse_png},
+    {"hdr", hdr_seeds, parse_hdr},
+    {"obj", obj_seeds, parse_obj},
+    {"ply", ply_seeds, parse_ply},
     {"npy", npy_seeds, parse_npy},
     {"config", config_seeds, parse_config},
     {"scene_index", index_seeds, parse_index},

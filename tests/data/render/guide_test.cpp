@@ -54,7 +54,7 @@ TEST_CASE("what a guide samples has the density that it says", "[statistics]") {
     const double mean = sum / count, error = std::sqrt((square / count - mean * mean) / count);
     INFO("g " << g << ": " << mean << " +- " << error);
     CHECK(std::abs(mean - 1.0) <= 4.0 * error);
-    CHECK(error < 0.02);
+    CHECK(error < 0.03);
     // .. and samples weighed by one over it are uniform: moments of a coordinate.
     double first = 0.0, second = 0.0;
     std::array<double, 2> squares{};

@@ -212,7 +212,7 @@ TEST_CASE("polarisation between two facing planes") {
 }
 
 TEST_CASE("the guide changes the noise and not the mean", "[statistics]") {
-  const SceneModel scene = draw_scene({}, {}, 3, 1);
+  const SceneModel scene = draw_scene({.families = {Family::kHarmonics}}, {}, 3, 1);
   World plain = scene.world();
   World guided = plain;
   const Guide guide(guided, scene.light, scene.low, scene.high, Random(1, Purpose::kTest));

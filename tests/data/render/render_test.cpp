@@ -13,7 +13,7 @@ namespace {
 const Camera kCamera{.width = 20, .height = 20};
 
 SceneModel dull_scene() {
-  SceneModel scene = draw_scene({}, kCamera, 3, 1);
+  SceneModel scene = draw_scene({.families = {Family::kHarmonics}}, kCamera, 3, 1);
   scene.medium = {.sigma_t = {20.0, 24.0, 30.0}, .albedo = {0.6, 0.5, 0.4}, .g = 0.2};
   return scene;
 }
