@@ -11,23 +11,9 @@
 #include <string_view>
 #include <vector>
 
+#include "data/window.h"
+
 namespace opaline {
-
-/// Pixels [x0, x1) x [y0, y1), y down.
-struct Window {
-  int x0 = 0;
-  int y0 = 0;
-  int x1 = 0;
-  int y1 = 0;
-
-  int width() const { return x1 - x0; }
-  int height() const { return y1 - y0; }
-  int64_t pixels() const { return int64_t{width()} * height(); }
-  bool operator==(const Window&) const = default;
-};
-
-/// "[x0, x1) x [y0, y1)".
-std::string to_string(const Window& window);
 
 /// One part: a window of the image, its channels interleaved.
 struct ExrPart {
