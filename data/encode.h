@@ -78,6 +78,13 @@ struct Sample {
   Tensor polarised;     ///< H x W x 12, p0, p45, p90, p135 as 2 v - 1, masked: what is reconstructed
 };
 
+/// A scene that could not be read, and the sample of the batch where another stands in for it.
+struct ReplacedScene {
+  int64_t sample = 0;
+  std::string id;
+  std::string what;  ///< the reader's message
+};
+
 /// Samples stacked: every tensor has a leading N; undefined where a sample's is.
 struct Batch {
   std::vector<std::string> ids;
@@ -90,7 +97,8 @@ struct Batch {
   Tensor bsdf;
   Tensor polarised;
   int64_t epoch = 0;  ///< where the loader took it from
-  int64_t index = 0;  ///< batch of the epoch
+  int64_t index = 0;  ///< batch of the epoch, all ranks counted
+  std::vector<ReplacedScene> replaced;
 
   int64_t size() const { return static_cast<int64_t>(ids.size()); }
 };
