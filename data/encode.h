@@ -98,7 +98,7 @@ struct Batch {
   Tensor polarised;
   int64_t epoch = 0;  ///< where the loader took it from
   int64_t index = 0;  ///< batch of the epoch, all ranks counted
-  std::vector<ReplacedScene> replaced;
+  std::vector<ReplacedScene> replaced = {};
 
   int64_t size() const { return static_cast<int64_t>(ids.size()); }
 };

@@ -40,9 +40,9 @@ struct LoaderOptions {
   int64_t rank = 0;
   int64_t ranks = 1;
   DamagePolicy damaged = DamagePolicy::kFail;
-  CaptureOptions capture;  ///< drawn anew for every scene in every epoch; the cache holds clean scenes
+  CaptureOptions capture = {};  ///< drawn anew for every scene in every epoch; the cache holds clean scenes
   EncodeOptions encode = EncodeOptions::paper();
-  EncodeWanted wanted;
+  EncodeWanted wanted = {};
 };
 
 /// The next batch to be given. Holds for any number of ranks.

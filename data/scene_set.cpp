@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <limits>
 #include <optional>
+#include <span>
 
 #include "core/error.h"
 #include "core/file.h"
@@ -18,6 +20,7 @@ namespace fs = std::filesystem;
 
 constexpr float kSigmaTScale = 32.0F;
 constexpr int kFormatVersion = 1;
+constexpr float kMost = std::numeric_limits<float>::max();
 
 // What we write; a reader converts the alternatives of the first three and refuses anything else.
 constexpr std::string_view kS1 = "I0 - I90";
@@ -134,17 +137,26 @@ void for_each_pixel(const ExrPart& part, int width, int height, const Put& put) 
 /// Applies the sign conventions to the light of a window and refuses light that cannot be.
 void convert_light(std::vector<float>& stokes, const Window& window, const Conventions& conventions,
                    const Scene& scene, std::string_view part) {
-  const int64_t pixels = window.pixels();
-  for (int64_t i = 0; i < pixels; ++i) {
-    float* s = stokes.data() + i * kStokesChannels;
-    for (int c = 0; c < 3; ++c) {
-      s[3 + c] *= conventions.s1;
-      s[6 + c] *= conventions.s2;
-      if (!(std::isfinite(s[c]) && std::isfinite(s[3 + c]) && std::isfinite(s[6 + c]) && s[c] >= 0.0F)) {
-        fail(scene.source, "scene {}, part '{}', pixel ({}, {}): S = ({}, {}, {}) is not light", scene.id,
-             part, window.x0 + i % window.width(), window.y0 + i / window.width(), s[c], s[3 + c], s[6 + c]);
-      }
+  if (conventions.s1 != 1.0F || conventions.s2 != 1.0F) {
+    for (size_t i = 0; i < stokes.size(); ++i) {
+      const size_t c = i % kStokesChannels;
+      stokes[i] *= c < 3 ? 1.0F : c < 6 ? conventions.s1 : conventions.s2;
     }
+  }
+  // Sound light, the rule, is told without a branch a value.
+  constexpr std::array<float, kStokesChannels> kLeast = {0,      0,      0,      -kMost, -kMost,
+                                                         -kMost, -kMost, -kMost, -kMost};
+  const auto is_light = [&](const float* s) {
+    int good = 1;
+    for (size_t c = 0; c < kStokesChannels; ++c) good &= int{s[c] >= kLeast[c]} & int{s[c] <= kMost};
+    return good != 0;
+  };
+  for (int64_t i = 0; i < window.pixels(); ++i) {
+    const float* s = stokes.data() + i * kStokesChannels;
+    if (is_light(s)) continue;
+    fail(scene.source, "scene {}, part '{}', pixel ({}, {}): S = ({}) is not light", scene.id, part,
+         window.x0 + i % window.width(), window.y0 + i / window.width(),
+         fmt::join(std::span(s, kStokesChannels), ", "));
   }
 }
 
@@ -279,18 +291,13 @@ class SceneSet final : public Dataset {
     }
     convert_light(scene.image, wanted, set_.conventions, scene, "image");
     if (!options.bsdf) return;
-    const ExrPart bsdf = reader.read("bsdf", kStokesNames);
+    ExrPart bsdf = reader.read("bsdf", kStokesNames);
+    convert_light(bsdf.pixels, bsdf.window, set_.conventions, scene, "bsdf");
     // Outside the window there is no object, so both renderings see the same.
-    std::vector<float> full = scene.image;
+    scene.bsdf = scene.image;
     for_each_pixel(bsdf, scene.width, scene.height, [&](size_t pixel, const float* values) {
-      float* to = full.data() + pixel * kStokesChannels;
-      for (size_t c = 0; c < kStokesChannels; ++c) {
-        const float sign = c < 3 ? 1.0F : c < 6 ? set_.conventions.s1 : set_.conventions.s2;
-        to[c] = sign * values[c];
-      }
+      std::copy_n(values, kStokesChannels, scene.bsdf.data() + pixel * kStokesChannels);
     });
-    convert_light(full, whole, {}, scene, "bsdf");
-    scene.bsdf = std::move(full);
   }
 
   /// The box of the object, which is part truth's, grown by a pixel and inside the image.

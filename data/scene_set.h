@@ -103,7 +103,7 @@ Window coverage_box(const std::vector<float>& coverage, int width, int height);
 
 /// How scenes are stored; the defaults were chosen by measurement (docs/benchmarks.md).
 struct SceneStorage {
-  ExrCompression compression = ExrCompression::kZip;
+  ExrCompression compression = ExrCompression::kRle;
   bool half = true;  ///< half floats, else floats
 };
 

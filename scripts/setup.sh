@@ -13,7 +13,7 @@ packages=(
 )
 if [[ "${1:-}" == "--peers" ]]; then
   # OpenBLAS: with the reference BLAS that PyTorch would pull in, the comparison takes three times as long.
-  packages+=(python3-torch python3-numpy libopenblas0-pthread)
+  packages+=(python3-torch python3-numpy python3-pil libopenblas0-pthread)
 elif [[ "${1:-}" == "--fuzz" ]]; then
   packages+=(clang libclang-rt-14-dev libomp-dev)
 elif [[ $# -gt 0 ]]; then
