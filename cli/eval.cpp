@@ -17,31 +17,48 @@ namespace fs = std::filesystem;
 struct EvalArguments {
   fs::path run, data, json;
   int64_t max_scenes = 0;
+  bool sensor = false;
 };
 
 /// The training scenes whose mean is the yardstick: those beside the test scenes, or else those that the run
 /// was trained on.
 MeanPredictor training_mean(const Dataset& dataset, const RunConfig& config) {
-  if (dataset.size(Split::kTrain) > 0) return fit_mean_predictor(dataset);
-  return fit_mean_predictor(*open_dataset(config.data.path));
+  constexpr int64_t kEnough = 4000;
+  if (dataset.size(Split::kTrain) > 0) return fit_mean_predictor(dataset, kEnough, config.data.damaged);
+  return fit_mean_predictor(*open_dataset(config.data.path), kEnough, config.data.damaged);
 }
 
 void run_eval(const EvalArguments& arguments) {
-  const TrainedModel model = load_trained_model(
-      {arguments.run}, [](std::string_view line) { fmt::print(stderr, "warning: {}\n", line); });
+  const auto warn = [](std::string_view line) { fmt::print(stderr, "warning: {}\n", line); };
+  const TrainedModel model = load_trained_model({arguments.run}, warn);
+  const RunConfig& config = model.config;
   const std::shared_ptr<const Dataset> dataset = open_dataset(arguments.data);
   if (dataset->size(Split::kTest) == 0) fail(arguments.data.string(), "has no test scenes");
-  const MeanPredictor mean = training_mean(*dataset, model.config);
-  const EvaluationSummary summary = summarize(
-      evaluate(*model.cascade, dataset, model.config.model.encode, &mean,
-               {.max_scenes = arguments.max_scenes, .threads = static_cast<int>(model.config.data.threads)}));
+  const MeanPredictor mean = training_mean(*dataset, config);
+  EvaluateOptions options{.max_scenes = arguments.max_scenes,
+                          .threads = static_cast<int>(config.data.threads),
+                          .damaged = config.data.damaged,
+                          .warn = warn};
+  const auto measured = [&] {
+    return summarize(evaluate(*model.cascade, dataset, config.model.encode, &mean, options));
+  };
+  const EvaluationSummary clean = measured();
+  nlohmann::ordered_json json = to_json(clean);
+  std::string table = fmt::format("{} of {}\n{}", model.checkpoint.filename().string(),
+                                  arguments.run.string(), format_table(clean));
+  if (arguments.sensor) {
+    options.capture.sensor = config.data.capture.sensor;
+    options.capture.sensor.on = true;
+    options.warn = {};  // the same scenes again
+    const EvaluationSummary sensor = measured();
+    json["sensor"] = to_json(sensor);
+    table += "\nwith the errors of a sensor\n" + format_table(sensor);
+  }
   // With the JSON on standard output, the table must not be in it.
   const bool json_only = arguments.json == "-";
-  if (!json_only)
-    fmt::print("{} of {}\n{}", model.checkpoint.filename().string(), arguments.run.string(),
-               format_table(summary));
+  if (!json_only) fmt::print("{}", table);
   if (arguments.json.empty()) return;
-  const std::string text = to_json(summary).dump(2) + "\n";
+  const std::string text = json.dump(2) + "\n";
   if (json_only) {
     fmt::print("{}", text);
   } else {
@@ -66,6 +83,10 @@ void add_eval(CLI::App& app, Outcome&) {
   command->add_option("--max-scenes", arguments->max_scenes, "Measure the first so many; 0: all")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
+  command->add_flag(
+      "--sensor", arguments->sensor,
+      "Also measure on images with the errors of a real sensor (strengths: [data] sensor_.. of the run's "
+      "config); the JSON gets them under \"sensor\"");
   command->callback([arguments] { run_eval(*arguments); });
 }
 

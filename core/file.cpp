@@ -7,6 +7,7 @@
 
 #include <cerrno>
 #include <cstring>
+#include <new>
 
 #include "core/error.h"
 
@@ -23,6 +24,8 @@ class Descriptor {
     if (fd_ >= 0) ::close(fd_);
   }
   int get() const { return fd_; }
+  /// Leaves closing to somebody else.
+  void release() { fd_ = -1; }
   /// Closes now; false where the system reports a late write error.
   bool close() {
     const int fd = fd_;
@@ -81,6 +84,28 @@ std::string read_text(const std::filesystem::path& path, int64_t max_bytes) {
   return text;
 }
 
+FileReader::FileReader(const std::filesystem::path& path, int64_t max_bytes)
+    : path_(path), descriptor_(::open(path.c_str(), O_RDONLY | O_CLOEXEC)) {
+  Descriptor file(descriptor_);
+  size_ = open_size(path, file, max_bytes);
+  file.release();
+}
+
+FileReader::~FileReader() {
+  ::close(descriptor_);
+}
+
+void FileReader::read(int64_t offset, std::span<std::byte> to) const {
+  while (!to.empty()) {
+    const ssize_t got = ::pread(descriptor_, to.data(), to.size(), offset);
+    if (got < 0 && errno == EINTR) continue;
+    if (got < 0) fail(path_.string(), "cannot read: {}", std::strerror(errno));
+    if (got == 0) fail(path_.string(), "ends at byte {}, {} more are needed", offset, to.size());
+    to = to.subspan(static_cast<size_t>(got));
+    offset += got;
+  }
+}
+
 void write_file_atomically(const std::filesystem::path& path, std::span<const std::byte> bytes) {
   std::filesystem::path temporary = path;
   temporary += fmt::format(".tmp.{}", ::getpid());
@@ -108,6 +133,23 @@ void write_file_atomically(const std::filesystem::path& path, std::string_view t
 
 uint64_t xxh64(std::span<const std::byte> bytes) {
   return XXH64(bytes.data(), bytes.size(), 0);
+}
+
+Xxh64::Xxh64() : state_(XXH64_createState()) {
+  if (state_ == nullptr) throw std::bad_alloc();
+  XXH64_reset(static_cast<XXH64_state_t*>(state_), 0);
+}
+
+Xxh64::~Xxh64() {
+  XXH64_freeState(static_cast<XXH64_state_t*>(state_));
+}
+
+void Xxh64::add(std::span<const std::byte> bytes) {
+  XXH64_update(static_cast<XXH64_state_t*>(state_), bytes.data(), bytes.size());
+}
+
+uint64_t Xxh64::value() const {
+  return XXH64_digest(static_cast<const XXH64_state_t*>(state_));
 }
 
 std::string to_hex(uint64_t value) {

@@ -21,6 +21,9 @@ std::string_view to_string(Split split);
 struct LoadOptions {
   bool bsdf = true;   ///< pure-BSDF images (reconstruction alone needs them)
   bool truth = true;  ///< normal and depth (the mask always comes)
+  /// The light of every pixel; else a reader may leave out what is outside the object's box grown by a pixel
+  /// (Scene::window says what it did). With `bsdf` the whole always comes.
+  bool whole = true;
 };
 
 struct DatasetFacts {

@@ -1,9 +1,10 @@
 // From linear light to what the networks see, and back.
 //
 // A scene's Stokes images become four polariser images I0, I90 = (S0 +- S1) / 2, I45, I135 = (S0 +- S2) / 2,
-// each clipped to [0, 1] after the exposure; S0, S1, S2, max and min = (S0 +- sqrt(S1^2 + S2^2)) / 2 (the
-// paper's equations) are computed from the clipped images; intensities are encoded as v = I^(1/2.2), with an
-// optional truncation to 8 bits (as the release's files were written), and enter as 2 v - 1.
+// each clipped to [0, 1] after the exposure (data/sensor.h may do more to them); S0, S1, S2, max and min =
+// (S0 +- sqrt(S1^2 + S2^2)) / 2 (the paper's equations) are computed from the clipped images; intensities are
+// encoded as v = I^(1/2.2) (data/gamma.h), with an optional truncation to 8 bits (as the release's files were
+// written), and enter as 2 v - 1.
 #pragma once
 
 #include <array>
@@ -15,6 +16,7 @@
 
 #include "core/tensor.h"
 #include "data/scene.h"
+#include "data/sensor.h"
 
 namespace opaline {
 
@@ -59,6 +61,10 @@ struct EncodeWanted {
   bool reconstruction = true;  ///< bsdf and polarised
 };
 
+/// Whether light outside the object is looked at: the masked inputs (pol4, maxmin, mask) need none, the
+/// reconstruction's pure-BSDF images are not masked.
+bool needs_whole_image(const EncodeOptions& options, const EncodeWanted& wanted);
+
 /// One scene as the networks take it; float32, channels last.
 struct Sample {
   std::string id;
@@ -70,6 +76,13 @@ struct Sample {
   Tensor sss;           ///< g, sigma_t (3), albedo (3), each mapped to [-1, 1]; with flash_in_sss flash last
   Tensor bsdf;          ///< H x W x 12, pure-BSDF p0, p45, p90, p135 as 2 v - 1, not masked
   Tensor polarised;     ///< H x W x 12, p0, p45, p90, p135 as 2 v - 1, masked: what is reconstructed
+};
+
+/// A scene that could not be read, and the sample of the batch where another stands in for it.
+struct ReplacedScene {
+  int64_t sample = 0;
+  std::string id;
+  std::string what;  ///< the reader's message
 };
 
 /// Samples stacked: every tensor has a leading N; undefined where a sample's is.
@@ -84,16 +97,35 @@ struct Batch {
   Tensor bsdf;
   Tensor polarised;
   int64_t epoch = 0;  ///< where the loader took it from
-  int64_t index = 0;  ///< batch of the epoch
+  int64_t index = 0;  ///< batch of the epoch, all ranks counted
+  std::vector<ReplacedScene> replaced = {};
 
   int64_t size() const { return static_cast<int64_t>(ids.size()); }
 };
 
-/// `exposure` is the k of step one; the illumination's labels and the flash grow with it.
+/// The illumination's labels and the flash grow with the shot's gains.
 /// Throws Error naming the scene where its size is not divisible by 16 or is under 32 (the message says what
-/// to crop or resize to), or where a wanted image is missing.
+/// to crop or resize to), or where light was not read that the inputs need.
 Sample encode_scene(const Scene& scene, const EncodeOptions& options, const EncodeWanted& wanted = {},
-                    float exposure = 1.0F);
+                    const Shot& shot = {});
+
+/// Encodes scene by scene straight into the tensors of a batch.
+class BatchBuilder {
+ public:
+  /// A batch of `samples`; the first scene decides the size and which tensors there are.
+  BatchBuilder(int64_t samples, const EncodeOptions& options, const EncodeWanted& wanted);
+  /// Throws as encode_scene and make_batch do.
+  void add(const Scene& scene, const Shot& shot = {});
+  int64_t size() const { return batch_.size(); }
+  /// The batch, when all samples are added.
+  Batch take();
+
+ private:
+  int64_t samples_;
+  EncodeOptions options_;
+  EncodeWanted wanted_;
+  Batch batch_;
+};
 
 /// Throws Error naming two scenes whose sizes differ, or of which only one has some truth.
 Batch make_batch(std::span<const Sample> samples);

@@ -6,28 +6,15 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "data/window.h"
+
 namespace opaline {
-
-/// Pixels [x0, x1) x [y0, y1), y down.
-struct Window {
-  int x0 = 0;
-  int y0 = 0;
-  int x1 = 0;
-  int y1 = 0;
-
-  int width() const { return x1 - x0; }
-  int height() const { return y1 - y0; }
-  int64_t pixels() const { return int64_t{width()} * height(); }
-  bool operator==(const Window&) const = default;
-};
-
-/// "[x0, x1) x [y0, y1)".
-std::string to_string(const Window& window);
 
 /// One part: a window of the image, its channels interleaved.
 struct ExrPart {
@@ -38,9 +25,13 @@ struct ExrPart {
   std::vector<float> pixels = {};          ///< window height x window width x channels
 };
 
+/// Of the lossless ones; ZIP and PIZ pack 16 and 32 lines together, the others each line.
+enum class ExrCompression { kNone, kRle, kZips, kZip, kPiz };
+
 struct ExrImage {
   int width = 0;  ///< display window, from (0, 0)
   int height = 0;
+  ExrCompression compression = ExrCompression::kZip;
   std::vector<ExrPart> parts = {};
 };
 
@@ -57,11 +48,31 @@ struct ExrPartInfo {
   std::vector<std::string> channels = {};  ///< sorted by name, as files have them
 };
 
-/// The bytes of a file: ZIP-compressed scan lines, parts in the given order.
+/// The bytes of a file: scan lines, parts in the given order, one after the other.
 std::vector<std::byte> encode_exr(const ExrImage& image);
+
+/// Lines that are compressed together: the first of them, and where they are in the file.
+struct ExrChunk {
+  int y = 0;
+  int64_t offset = 0;
+};
+/// The chunks of each part of a file that encode_exr made of `image`.
+std::vector<std::vector<ExrChunk>> exr_chunks(std::span<const std::byte> bytes, const ExrImage& image);
 
 /// encode_exr, written under a temporary name and renamed.
 void write_exr(const std::filesystem::path& path, const ExrImage& image);
+
+/// Lines [begin, end) of the image.
+struct ExrRows {
+  int begin = 0;
+  int end = 0;
+};
+
+/// A piece of a file.
+struct ExrBytes {
+  int64_t offset = 0;
+  std::span<const std::byte> bytes;
+};
 
 /// Reads parts of a file that is in memory. Headers are checked on construction, pixels decoded on demand: a
 /// part that is not asked for costs nothing. Deep, tiled and subsampled parts, sizes over the limits and
@@ -70,6 +81,10 @@ class ExrReader {
  public:
   /// `bytes` must outlive the reader; `file` is for messages.
   ExrReader(std::span<const std::byte> bytes, std::string file, const ExrLimits& limits = {});
+  /// Of a file of which only some pieces are in memory: the first with headers and line tables, others with
+  /// the lines that will be asked for. Asking for what is not there is an error.
+  ExrReader(std::span<const ExrBytes> pieces, int64_t file_bytes, std::string file,
+            const ExrLimits& limits = {});
   ~ExrReader();
   ExrReader(const ExrReader&) = delete;
   ExrReader& operator=(const ExrReader&) = delete;
@@ -79,9 +94,10 @@ class ExrReader {
   const std::vector<ExrPartInfo>& parts() const;
   bool has_part(std::string_view name) const;
 
-  /// The named channels of a part, in that order, as floats. A missing part or channel is an error that
-  /// lists what there is.
-  ExrPart read(std::string_view part, std::span<const std::string> channels) const;
+  /// The named channels of a part, in that order, as floats; of some rows only the window's part in them. A
+  /// missing part or channel is an error that lists what there is.
+  ExrPart read(std::string_view part, std::span<const std::string> channels,
+               const std::optional<ExrRows>& rows = {}) const;
   /// All channels of a part, sorted by name.
   ExrPart read(std::string_view part) const;
 

@@ -12,6 +12,8 @@
 #include <string>
 #include <vector>
 
+#include "data/window.h"
+
 namespace opaline {
 
 /// Channels of a Stokes image: S0.R S0.G S0.B S1.R .. S2.B.
@@ -25,7 +27,7 @@ struct Scene {
   int width = 0;
   int height = 0;
 
-  std::vector<float> image;   ///< H x W x 9 linear Stokes
+  std::vector<float> image;   ///< H x W x 9 linear Stokes; of the window alone where there is one
   std::vector<float> bsdf;    ///< the same without the medium; empty where absent or not asked for
   std::vector<float> normal;  ///< H x W x 3, unit inside the mask; empty where absent or not asked for
   std::vector<float> depth;   ///< H x W; empty where absent or not asked for
@@ -41,6 +43,10 @@ struct Scene {
   /// were equalised.
   std::optional<float> pair_ratio;
 
+  /// What `image` covers, where less than the whole was read (LoadOptions::whole).
+  std::optional<Window> window;
+
+  Window image_window() const { return window.value_or(Window{0, 0, width, height}); }
   int64_t pixels() const { return int64_t{width} * height; }
   /// Bytes of pixels held.
   int64_t byte_size() const;

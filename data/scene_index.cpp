@@ -2,14 +2,17 @@
 #include <fcntl.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cmath>
 #include <cstring>
 #include <nlohmann/json.hpp>
+#include <span>
+#include <utility>
 
 #include "core/error.h"
 #include "core/file.h"
-#include "data/scene_set.h"
+#include "data/scene_index.h"
 
 namespace opaline {
 namespace {
@@ -85,6 +88,25 @@ Window parse_box(const Line& line, std::string_view where) {
   return window;
 }
 
+std::array<FileSection, kSceneSections> parse_sections(const Json& json, std::string_view where) {
+  std::array<FileSection, kSceneSections> sections;
+  const auto is_section = [](const Json& s) {
+    return s.is_array() && s.size() == 2 && s[0].is_number_unsigned() && s[1].is_string();
+  };
+  if (!json.is_array() || json.size() != kSceneSections ||
+      !std::all_of(json.begin(), json.end(), is_section)) {
+    fail(where, "'sections' must hold {} pairs of a size and a checksum, not {}", kSceneSections,
+         json.dump());
+  }
+  constexpr uint64_t kMost = uint64_t{1} << 40;
+  for (size_t i = 0; i < kSceneSections; ++i) {
+    const auto bytes = json[i][0].get<uint64_t>();
+    if (bytes > kMost) fail(where, "'sections' has one of {} bytes", bytes);
+    sections[i] = {static_cast<int64_t>(bytes), json[i][1].get<std::string>()};
+  }
+  return sections;
+}
+
 /// A file of the set lies inside its folder: a line must not lead elsewhere.
 void check_relative(const std::string& file, std::string_view where) {
   const std::filesystem::path path(file);
@@ -101,21 +123,26 @@ std::string to_json_line(const SceneRecord& record) {
     sh.push_back(std::vector<double>(record.sh.begin() + static_cast<std::ptrdiff_t>(9 * c),
                                      record.sh.begin() + static_cast<std::ptrdiff_t>(9 * c + 9)));
   }
-  const Json json = {{"id", record.id},
-                     {"file", record.file},
-                     {"xxh64", record.xxh64},
-                     {"box", {record.box.x0, record.box.y0, record.box.x1, record.box.y1}},
-                     {"coverage", record.coverage},
-                     {"sigma_t", record.sigma_t},
-                     {"albedo", record.albedo},
-                     {"g", record.g},
-                     {"flash", record.flash},
-                     {"sh", sh},
-                     {"object", record.object},
-                     {"environment", record.environment},
-                     {"seed", record.seed},
-                     {"spp", record.spp},
-                     {"seconds", record.seconds}};
+  Json json = {{"id", record.id},
+               {"file", record.file},
+               {"xxh64", record.xxh64},
+               {"box", {record.box.x0, record.box.y0, record.box.x1, record.box.y1}},
+               {"coverage", record.coverage},
+               {"sigma_t", record.sigma_t},
+               {"albedo", record.albedo},
+               {"g", record.g},
+               {"flash", record.flash},
+               {"sh", sh},
+               {"object", record.object},
+               {"environment", record.environment},
+               {"seed", record.seed},
+               {"spp", record.spp},
+               {"seconds", record.seconds}};
+  if (record.sections) {
+    Json sections = Json::array();
+    for (const FileSection& section : *record.sections) sections.push_back({section.bytes, section.xxh64});
+    json["sections"] = sections;
+  }
   return json.dump();
 }
 
@@ -147,6 +174,7 @@ SceneRecord parse_scene_record(std::string_view text, std::string_view where) {
   record.seed = line.integer<uint64_t>("seed");
   record.spp = line.integer<int64_t>("spp");
   record.seconds = line.number("seconds", 0, kLarge);
+  if (json.contains("sections")) record.sections = parse_sections(json["sections"], where);
   return record;
 }
 
@@ -194,6 +222,61 @@ void append_scene_record(const std::filesystem::path& path, const SceneRecord& r
   if (!whole && before >= 0 && ::ftruncate(file, before) != 0) error = errno;
   ::close(file);
   if (!whole) fail(path.string(), "cannot add scene {}: {}", record.id, std::strerror(error));
+}
+
+SceneIndex::SceneIndex(const std::filesystem::path& path) : path_(path), file_(path) {
+  constexpr size_t kPiece = size_t{1} << 20;
+  constexpr size_t kLongestLine = kPiece;
+  Xxh64 hash;
+  std::vector<std::pair<uint64_t, int64_t>>
+      ids;                 // hash and place: eight bytes each are enough to find doubles
+  std::string text;        // what is not parsed yet
+  int64_t text_begin = 0;  // its place in the file
+  int64_t line_number = 0;
+  const auto take_line = [&](std::string_view line) {
+    ++line_number;
+    if (line.find_first_not_of(" \t\r") != std::string_view::npos) {
+      const SceneRecord record = parse_scene_record(line, fmt::format("{}:{}", path.string(), line_number));
+      ids.emplace_back(opaline::xxh64(std::as_bytes(std::span(record.id))), size());
+      begin_.push_back(text_begin);
+    }
+  };
+  for (int64_t offset = 0; offset < file_.size();) {
+    const auto piece = static_cast<size_t>(std::min<int64_t>(kPiece, file_.size() - offset));
+    const size_t held = text.size();
+    text.resize(held + piece);
+    const std::span<std::byte> fresh = std::as_writable_bytes(std::span(text)).subspan(held);
+    file_.read(offset, fresh);
+    hash.add(fresh);
+    offset += static_cast<int64_t>(piece);
+    size_t begin = 0;
+    for (size_t end = text.find('\n'); end != std::string::npos; end = text.find('\n', begin)) {
+      take_line(std::string_view(text).substr(begin, end - begin));
+      text_begin += static_cast<int64_t>(end + 1 - begin);
+      begin = end + 1;
+    }
+    text.erase(0, begin);
+    if (text.size() > kLongestLine) {
+      fail(fmt::format("{}:{}", path.string(), line_number + 1), "has over {} characters", kLongestLine);
+    }
+  }
+  take_line(text);
+  begin_.shrink_to_fit();
+  xxh64_ = hash.value();
+  std::sort(ids.begin(), ids.end());
+  for (size_t i = 1; i < ids.size(); ++i) {
+    if (ids[i].first == ids[i - 1].first)
+      fail(path.string(), "lists scene {} twice", record(ids[i].second).id);
+  }
+}
+
+SceneRecord SceneIndex::record(int64_t index) const {
+  const auto i = static_cast<size_t>(index);
+  const int64_t end = i + 1 < begin_.size() ? begin_[i + 1] : file_.size();
+  std::string line(static_cast<size_t>(end - begin_[i]), '\0');
+  file_.read(begin_[i], std::as_writable_bytes(std::span(line)));
+  line.resize(std::min(line.find('\n'), line.size()));
+  return parse_scene_record(line, fmt::format("{}, scene {}", path_.string(), index));
 }
 
 }  // namespace opaline

@@ -3,11 +3,14 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <set>
+#include <limits>
+#include <optional>
+#include <span>
 
 #include "core/error.h"
 #include "core/file.h"
 #include "data/scene_channels.h"
+#include "data/scene_index.h"
 #include "data/toml_config.h"
 
 namespace opaline {
@@ -17,6 +20,7 @@ namespace fs = std::filesystem;
 
 constexpr float kSigmaTScale = 32.0F;
 constexpr int kFormatVersion = 1;
+constexpr float kMost = std::numeric_limits<float>::max();
 
 // What we write; a reader converts the alternatives of the first three and refuses anything else.
 constexpr std::string_view kS1 = "I0 - I90";
@@ -130,22 +134,85 @@ void for_each_pixel(const ExrPart& part, int width, int height, const Put& put) 
   }
 }
 
-/// Applies the sign conventions and refuses light that cannot be.
-void convert_light(std::vector<float>& stokes, const Conventions& conventions, const Scene& scene,
-                   std::string_view part) {
-  const int64_t pixels = scene.pixels();
-  for (int64_t i = 0; i < pixels; ++i) {
-    float* s = stokes.data() + i * kStokesChannels;
-    for (int c = 0; c < 3; ++c) {
-      s[3 + c] *= conventions.s1;
-      s[6 + c] *= conventions.s2;
-      if (!(std::isfinite(s[c]) && std::isfinite(s[3 + c]) && std::isfinite(s[6 + c]) && s[c] >= 0.0F)) {
-        fail(scene.source, "scene {}, part '{}', pixel ({}, {}): S = ({}, {}, {}) is not light", scene.id,
-             part, i % scene.width, i / scene.width, s[c], s[3 + c], s[6 + c]);
-      }
+/// Applies the sign conventions to the light of a window and refuses light that cannot be.
+void convert_light(std::vector<float>& stokes, const Window& window, const Conventions& conventions,
+                   const Scene& scene, std::string_view part) {
+  if (conventions.s1 != 1.0F || conventions.s2 != 1.0F) {
+    for (size_t i = 0; i < stokes.size(); ++i) {
+      const size_t c = i % kStokesChannels;
+      stokes[i] *= c < 3 ? 1.0F : c < 6 ? conventions.s1 : conventions.s2;
     }
   }
+  // Sound light, the rule, is told without a branch a value.
+  constexpr std::array<float, kStokesChannels> kLeast = {0,      0,      0,      -kMost, -kMost,
+                                                         -kMost, -kMost, -kMost, -kMost};
+  const auto is_light = [&](const float* s) {
+    int good = 1;
+    for (size_t c = 0; c < kStokesChannels; ++c) good &= int{s[c] >= kLeast[c]} & int{s[c] <= kMost};
+    return good != 0;
+  };
+  for (int64_t i = 0; i < window.pixels(); ++i) {
+    const float* s = stokes.data() + i * kStokesChannels;
+    if (is_light(s)) continue;
+    fail(scene.source, "scene {}, part '{}', pixel ({}, {}): S = ({}) is not light", scene.id, part,
+         window.x0 + i % window.width(), window.y0 + i / window.width(),
+         fmt::join(std::span(s, kStokesChannels), ", "));
+  }
 }
+
+/// The bytes of a scene's file that a load needs.
+class SceneFile {
+ public:
+  SceneFile(const fs::path& path, const SceneRecord& record, const LoadOptions& options) {
+    const bool whole = options.whole || options.bsdf;
+    if (!record.sections || (whole && options.bsdf)) {
+      bytes_.push_back(read_file(path));
+      size_ = static_cast<int64_t>(bytes_.back().size());
+      check(path, record, "its", bytes_.back(), record.xxh64);
+      pieces_.push_back({0, bytes_.back()});
+      return;
+    }
+    const FileReader file(path);
+    size_ = file.size();
+    int64_t declared = 0;
+    for (const FileSection& section : *record.sections) declared += section.bytes;
+    if (declared != size_) {
+      fail(path.string(), "scene {} is damaged: it has {} bytes, the index says {}", record.id, size_,
+           declared);
+    }
+    bytes_.reserve(kSceneSections);  // pieces look into them
+    int64_t offset = 0;
+    for (size_t i = 0; i < kSceneSections; ++i) {
+      const FileSection& section = (*record.sections)[i];
+      const auto kind = static_cast<SceneSection>(i);
+      const bool around = kind == SceneSection::kAbove || kind == SceneSection::kBelow;
+      if (section.bytes > 0 && kind != SceneSection::kBsdf && (whole || !around)) {
+        std::vector<std::byte>& bytes = bytes_.emplace_back(static_cast<size_t>(section.bytes));
+        file.read(offset, bytes);
+        check(path, record, fmt::format("section {}'s", i), bytes, section.xxh64);
+        pieces_.push_back({offset, bytes});
+      }
+      offset += section.bytes;
+    }
+  }
+
+  std::span<const ExrBytes> pieces() const { return pieces_; }
+  int64_t size() const { return size_; }
+
+ private:
+  static void check(const fs::path& path, const SceneRecord& record, std::string_view what,
+                    std::span<const std::byte> bytes, const std::string& expected) {
+    const std::string hash = to_hex(xxh64(bytes));
+    if (hash != expected) {
+      fail(path.string(), "scene {} is damaged: {} checksum is {}, the index says {}", record.id, what, hash,
+           expected);
+    }
+  }
+
+  std::vector<std::vector<std::byte>> bytes_;
+  std::vector<ExrBytes> pieces_;
+  int64_t size_ = 0;
+};
 
 class SceneSet final : public Dataset {
  public:
@@ -158,28 +225,25 @@ class SceneSet final : public Dataset {
     for (const Split split : {Split::kTrain, Split::kTest}) {
       const fs::path path = root / fmt::format("{}.jsonl", to_string(split));
       if (!fs::exists(path)) continue;
-      records(split) = read_scene_index(path);
-      check_unique(records(split), path);
-      const std::string joined = to_hex(hash) + to_hex(xxh64(read_file(path)));
+      index_of(split).emplace(path);
+      const std::string joined = to_hex(hash) + to_hex(index_of(split)->xxh64());
       hash = xxh64(std::as_bytes(std::span(joined)));
     }
     facts_.fingerprint = to_hex(hash);
   }
 
   const DatasetFacts& facts() const override { return facts_; }
-  int64_t size(Split split) const override { return static_cast<int64_t>(records(split).size()); }
+  int64_t size(Split split) const override {
+    const std::optional<SceneIndex>& index = index_of(split);
+    return index ? index->size() : 0;
+  }
   std::string id(Split split, int64_t index) const override { return record(split, index).id; }
 
   Scene load(Split split, int64_t index, const LoadOptions& options) const override {
-    const SceneRecord& record = this->record(split, index);
+    const SceneRecord record = this->record(split, index);
     const fs::path path = facts_.root / record.file;
-    const std::vector<std::byte> bytes = read_file(path);
-    const std::string hash = to_hex(xxh64(bytes));
-    if (hash != record.xxh64) {
-      fail(path.string(), "scene {} is damaged: its checksum is {}, the index says {}", record.id, hash,
-           record.xxh64);
-    }
-    const ExrReader reader(bytes, path.string());
+    const SceneFile file(path, record, options);
+    const ExrReader reader(file.pieces(), file.size(), path.string());
     Scene scene;
     scene.id = record.id;
     scene.source = path.string();
@@ -196,48 +260,54 @@ class SceneSet final : public Dataset {
   }
 
  private:
-  std::vector<SceneRecord>& records(Split split) { return split == Split::kTrain ? train_ : test_; }
-  const std::vector<SceneRecord>& records(Split split) const {
+  std::optional<SceneIndex>& index_of(Split split) { return split == Split::kTrain ? train_ : test_; }
+  const std::optional<SceneIndex>& index_of(Split split) const {
     return split == Split::kTrain ? train_ : test_;
   }
 
-  const SceneRecord& record(Split split, int64_t index) const {
+  SceneRecord record(Split split, int64_t index) const {
     if (index < 0 || index >= size(split)) {
       fail(facts_.root.string(), "has no scene {} in {} ({} scenes)", index, to_string(split), size(split));
     }
-    return records(split)[static_cast<size_t>(index)];
-  }
-
-  static void check_unique(const std::vector<SceneRecord>& records, const fs::path& path) {
-    std::set<std::string_view> ids;
-    for (const SceneRecord& record : records) {
-      if (!ids.insert(record.id).second) fail(path.string(), "lists scene {} twice", record.id);
-    }
+    return index_of(split)->record(index);
   }
 
   void read_images(const ExrReader& reader, const LoadOptions& options, Scene& scene) const {
-    ExrPart image = reader.read("image", kStokesNames);
     const Window whole{0, 0, scene.width, scene.height};
-    if (image.window == whole) {
+    if (!options.whole && !options.bsdf) scene.window = object_window(reader, whole);
+    const Window wanted = scene.image_window();
+    ExrPart image = reader.read("image", kStokesNames, ExrRows{wanted.y0, wanted.y1});
+    if (image.window == wanted) {
       scene.image = std::move(image.pixels);
-    } else {
-      fail(scene.source, "part 'image' has window {}; the whole image {} is expected",
-           to_string(image.window), to_string(whole));
-    }
-    convert_light(scene.image, set_.conventions, scene, "image");
-    if (!options.bsdf) return;
-    const ExrPart bsdf = reader.read("bsdf", kStokesNames);
-    // Outside the window there is no object, so both renderings see the same.
-    std::vector<float> full = scene.image;
-    for_each_pixel(bsdf, scene.width, scene.height, [&](size_t pixel, const float* values) {
-      float* to = full.data() + pixel * kStokesChannels;
-      for (size_t c = 0; c < kStokesChannels; ++c) {
-        const float sign = c < 3 ? 1.0F : c < 6 ? set_.conventions.s1 : set_.conventions.s2;
-        to[c] = sign * values[c];
+    } else if (image.window == Window{0, wanted.y0, scene.width, wanted.y1}) {
+      scene.image.reserve(static_cast<size_t>(wanted.pixels()) * kStokesChannels);
+      for (int y = 0; y < wanted.height(); ++y) {
+        const auto row = image.pixels.begin() + (int64_t{y} * scene.width + wanted.x0) * kStokesChannels;
+        scene.image.insert(scene.image.end(), row, row + int64_t{wanted.width()} * kStokesChannels);
       }
+    } else {
+      fail(scene.source, "part 'image' has window {} where {} is expected", to_string(image.window),
+           to_string(Window{0, wanted.y0, scene.width, wanted.y1}));
+    }
+    convert_light(scene.image, wanted, set_.conventions, scene, "image");
+    if (!options.bsdf) return;
+    ExrPart bsdf = reader.read("bsdf", kStokesNames);
+    convert_light(bsdf.pixels, bsdf.window, set_.conventions, scene, "bsdf");
+    // Outside the window there is no object, so both renderings see the same.
+    scene.bsdf = scene.image;
+    for_each_pixel(bsdf, scene.width, scene.height, [&](size_t pixel, const float* values) {
+      std::copy_n(values, kStokesChannels, scene.bsdf.data() + pixel * kStokesChannels);
     });
-    convert_light(full, {}, scene, "bsdf");
-    scene.bsdf = std::move(full);
+  }
+
+  /// The box of the object, which is part truth's, grown by a pixel and inside the image.
+  static Window object_window(const ExrReader& reader, const Window& whole) {
+    for (const ExrPartInfo& part : reader.parts()) {
+      if (part.name != "truth") continue;
+      const Window window = grown(part.window, 1, whole.x1, whole.y1);
+      if (window.width() > 0 && window.height() > 0) return window;
+    }
+    return whole;  // reading it will say what is wrong
   }
 
   static void read_truth(const ExrReader& reader, const LoadOptions& options, Scene& scene) {
@@ -281,8 +351,8 @@ class SceneSet final : public Dataset {
 
   SetFile set_;
   DatasetFacts facts_;
-  std::vector<SceneRecord> train_;
-  std::vector<SceneRecord> test_;
+  std::optional<SceneIndex> train_;
+  std::optional<SceneIndex> test_;
 };
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -17,6 +18,17 @@
 #include "data/exr.h"
 
 namespace opaline {
+
+/// What a scene's file consists of, in its order: headers and line tables; the lines of part image that are
+/// above the box grown by a pixel, that meet it and that are below; part bsdf; part truth.
+enum class SceneSection : size_t { kHead, kAbove, kBox, kBelow, kBsdf, kTruth };
+inline constexpr size_t kSceneSections = 6;
+
+struct FileSection {
+  int64_t bytes = 0;
+  std::string xxh64;  ///< of these bytes, 16 hexadecimal digits
+  bool operator==(const FileSection&) const = default;
+};
 
 /// A line of train.jsonl or test.jsonl.
 struct SceneRecord {
@@ -35,6 +47,8 @@ struct SceneRecord {
   uint64_t seed = 0;
   int64_t spp = 0;
   double seconds = 0;
+  /// Lets a reader fetch and check a part of the file; without them the whole file is read.
+  std::optional<std::array<FileSection, kSceneSections>> sections;
 };
 
 /// One line of JSON, without a line end.
@@ -87,10 +101,16 @@ struct WrittenScene {
 /// Box of coverage > 0; 1 x 1 at the origin where there is none.
 Window coverage_box(const std::vector<float>& coverage, int width, int height);
 
-/// Writes scenes/<NNNNNN>.exr under `root` (the folder is made) and fills the record's file, xxh64, box and
-/// coverage. NaN and infinity are errors that name the scene.
+/// How scenes are stored; the defaults were chosen by measurement (docs/benchmarks.md).
+struct SceneStorage {
+  ExrCompression compression = ExrCompression::kRle;
+  bool half = true;  ///< half floats, else floats
+};
+
+/// Writes scenes/<NNNNNN>.exr under `root` (the folder is made) and fills the record's file, xxh64, sections,
+/// box and coverage. NaN and infinity are errors that name the scene.
 WrittenScene write_scene(const std::filesystem::path& root, int64_t number, const SceneImages& images,
-                         SceneRecord& record);
+                         SceneRecord& record, const SceneStorage& storage = {});
 
 /// True where the record's file is there and has its checksum (a resumed writer skips such scenes).
 bool scene_is_intact(const std::filesystem::path& root, const SceneRecord& record);

@@ -1,6 +1,8 @@
 // Writing a rendered scene.
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <span>
 
 #include "core/error.h"
 #include "core/file.h"
@@ -47,6 +49,38 @@ void check_size(const std::vector<float>& values, const SceneImages& images, int
   }
 }
 
+/// Cuts the bytes of a scene's file into its sections.
+std::array<FileSection, kSceneSections> sections_of(std::span<const std::byte> bytes, const ExrImage& exr,
+                                                    const Window& box) {
+  const std::vector<std::vector<ExrChunk>> parts = exr_chunks(bytes, exr);
+  const std::vector<ExrChunk>& image = parts[0];
+  const Window rows = grown(box, 1, exr.width, exr.height);
+  // The last chunk that begins at or above the first row, the first that begins below the last one.
+  int64_t box_begin = image.front().offset;
+  int64_t box_end = parts[1].front().offset;
+  for (const ExrChunk& chunk : image) {
+    if (chunk.y <= rows.y0) box_begin = chunk.offset;
+    if (chunk.y >= rows.y1) {
+      box_end = chunk.offset;
+      break;
+    }
+  }
+  const std::array<int64_t, kSceneSections + 1> cuts = {0,
+                                                        image.front().offset,
+                                                        box_begin,
+                                                        box_end,
+                                                        parts[1].front().offset,
+                                                        parts[2].front().offset,
+                                                        static_cast<int64_t>(bytes.size())};
+  std::array<FileSection, kSceneSections> sections;
+  for (size_t i = 0; i < kSceneSections; ++i) {
+    const int64_t size = cuts[i + 1] - cuts[i];
+    sections[i] = {size,
+                   to_hex(xxh64(bytes.subspan(static_cast<size_t>(cuts[i]), static_cast<size_t>(size))))};
+  }
+  return sections;
+}
+
 }  // namespace
 
 Window coverage_box(const std::vector<float>& coverage, int width, int height) {
@@ -61,8 +95,8 @@ Window coverage_box(const std::vector<float>& coverage, int width, int height) {
   return box.width() > 0 ? box : Window{0, 0, 1, 1};
 }
 
-WrittenScene write_scene(const fs::path& root, int64_t number, const SceneImages& images,
-                         SceneRecord& record) {
+WrittenScene write_scene(const fs::path& root, int64_t number, const SceneImages& images, SceneRecord& record,
+                         const SceneStorage& storage) {
   const std::string where = fmt::format("write scene {}", record.id);
   check_size(images.image, images, kStokesChannels, "image", where);
   check_size(images.bsdf, images, kStokesChannels, "bsdf", where);
@@ -82,7 +116,8 @@ WrittenScene write_scene(const fs::path& root, int64_t number, const SceneImages
                                images.depth[i], images.coverage[i]});
   }
   const Window whole{0, 0, images.width, images.height};
-  ExrImage exr{.width = images.width, .height = images.height, .parts = {}};
+  ExrImage exr{
+      .width = images.width, .height = images.height, .compression = storage.compression, .parts = {}};
   exr.parts.push_back({.name = "image", .window = whole, .channels = kStokesNames, .pixels = images.image});
   exr.parts.push_back({.name = "bsdf",
                        .window = record.box,
@@ -93,11 +128,15 @@ WrittenScene write_scene(const fs::path& root, int64_t number, const SceneImages
                        .channels = kTruthNames,
                        .pixels = cut(truth, images.width, static_cast<int>(kTruthChannels), record.box)});
   WrittenScene written;
-  for (ExrPart& part : exr.parts) written.clamped += clamp_to_half(part.pixels, where + ", " + part.name);
+  for (ExrPart& part : exr.parts) {
+    part.half = storage.half;
+    written.clamped += clamp_to_half(part.pixels, where + ", " + part.name);
+  }
 
   const std::vector<std::byte> bytes = encode_exr(exr);
   record.file = fmt::format("scenes/{:06}.exr", number);
   record.xxh64 = to_hex(xxh64(bytes));
+  record.sections = sections_of(bytes, exr, record.box);
   fs::create_directories(root / "scenes");
   write_file_atomically(root / record.file, bytes);
   written.bytes = static_cast<int64_t>(bytes.size());

@@ -17,13 +17,43 @@ constexpr int64_t kMost = 1'000'000'000;
 constexpr std::array<std::string_view, 2> kVariants = {"paper", "release"};
 constexpr std::array<std::string_view, 3> kSchedules = {"step", "epoch", "constant"};
 
+constexpr std::array<std::string_view, 2> kDamagePolicies = {"fail", "skip"};
+
+template <size_t N>
+std::array<double, N> read_reals(const TomlTable& table, std::string_view key,
+                                 const std::array<double, N>& otherwise, const RealRange& range) {
+  const std::vector<double> values = table.reals(key, {otherwise.begin(), otherwise.end()}, range, N);
+  std::array<double, N> result = otherwise;
+  if (values.size() == N) std::copy(values.begin(), values.end(), result.begin());
+  return result;
+}
+
+CaptureOptions read_capture(const TomlTable& table) {
+  CaptureOptions capture;
+  capture.exposure = read_reals(table, "exposure", capture.exposure, {.min = 1e-3, .max = 1e3});
+  if (capture.exposure[0] > capture.exposure[1]) table.error("exposure", "must be [low, high]");
+  SensorOptions& sensor = capture.sensor;
+  sensor.on = table.boolean("sensor", sensor.on);
+  sensor.noise = read_reals(table, "sensor_noise", sensor.noise, {.min = 0.0, .max = 1.0});
+  sensor.gain = table.real("sensor_gain", sensor.gain, {.min = 0.0, .max = 0.5});
+  sensor.angle = table.real("sensor_angle", sensor.angle, {.min = 0.0, .max = 45.0});
+  sensor.extinction = table.real("sensor_extinction", sensor.extinction, {.min = 0.0, .max = 1.0});
+  sensor.white_balance = table.real("sensor_white_balance", sensor.white_balance, {.min = 0.0, .max = 0.5});
+  sensor.mosaic = table.boolean("sensor_mosaic", sensor.mosaic);
+  sensor.truncate = table.boolean("sensor_truncate", sensor.truncate);
+  return capture;
+}
+
 DataConfig read_data(const TomlTable& table) {
   const DataConfig d;
   return {.path = table.text("path", d.path),
           .max_scenes = table.integer("max_scenes", d.max_scenes, {.min = 0}),
           .threads = table.integer("threads", d.threads, {.min = 1, .max = 1024}),
           .prefetch = table.integer("prefetch", d.prefetch, {.min = 1, .max = 1024}),
-          .cache_mib = table.integer("cache_mib", d.cache_mib, {.min = 0, .max = int64_t{1} << 24})};
+          .cache_mib = table.integer("cache_mib", d.cache_mib, {.min = 0, .max = int64_t{1} << 24}),
+          .damaged = table.choice("damaged", "fail", kDamagePolicies) == "skip" ? DamagePolicy::kSkip
+                                                                                : DamagePolicy::kFail,
+          .capture = read_capture(table)};
 }
 
 std::vector<InputKind> read_inputs(const TomlTable& table, const std::vector<InputKind>& otherwise) {

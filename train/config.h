@@ -18,6 +18,8 @@
 
 #include "data/encode.h"
 #include "data/generate.h"
+#include "data/loader.h"
+#include "data/sensor.h"
 #include "models/cascade.h"
 #include "nn/optim.h"
 #include "train/losses.h"
@@ -30,6 +32,8 @@ struct DataConfig {
   int64_t threads = 1;      ///< that read and encode
   int64_t prefetch = 3;     ///< micro-batches held ready
   int64_t cache_mib = 512;  ///< decoded scenes kept in memory
+  DamagePolicy damaged = DamagePolicy::kFail;
+  CaptureOptions capture = {};  ///< exposure and sensor model of training; off by default
 };
 
 struct ModelConfig {

@@ -2,17 +2,19 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "core/autograd.h"
 #include "core/error.h"
 #include "core/parallel.h"
-#include "data/loader.h"
 
 namespace opaline {
 namespace {
 
 // Scenes read at once while the mean is formed.
 constexpr int64_t kBlock = 32;
+// Of the sensor's errors: evaluations of all runs see the same images.
+constexpr uint64_t kSensorSeed = 20240917;
 
 /// Image n of a batch.
 std::span<const float> image_of(const Tensor& batch, int64_t n) {
@@ -105,7 +107,7 @@ nlohmann::ordered_json arrange(const Value& value) {
 
 }  // namespace
 
-MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes) {
+MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes, DamagePolicy damaged) {
   const int64_t all = dataset.size(Split::kTrain);
   const std::string where = dataset.facts().root.string();
   if (all == 0) fail(where, "has no training scenes to take the mean of");
@@ -117,9 +119,14 @@ MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes) {
     std::vector<Scene> scenes(static_cast<size_t>(std::min(kBlock, n - begin)));
     parallel_for(static_cast<int64_t>(scenes.size()), [&](int64_t i) {
       const int64_t index = (begin + i) * all / n;
-      scenes[static_cast<size_t>(i)] = dataset.load(Split::kTrain, index, {.bsdf = false});
+      try {
+        scenes[static_cast<size_t>(i)] = dataset.load(Split::kTrain, index, {.bsdf = false, .whole = false});
+      } catch (const Error&) {
+        if (damaged == DamagePolicy::kFail) throw;
+      }
     });
     for (const Scene& scene : scenes) {
+      if (scene.mask.empty()) continue;  // damaged
       if (scene.normal.empty() || scene.depth.empty()) {
         fail(where, "training scene {} has no ground truth of normal and depth", scene.id);
       }
@@ -138,6 +145,7 @@ MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes) {
       sums.add(scene);
     }
   }
+  if (sums.scenes == 0) fail(where, "none of {} training scenes can be read", n);
   return sums.mean(width, height);
 }
 
@@ -148,9 +156,12 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
                           .batch = options.batch,
                           .min_last = 1,
                           .shuffle = false,
+                          .seed = kSensorSeed,
                           .epochs = 1,
                           .max_samples = options.max_scenes,
                           .threads = options.threads,
+                          .damaged = options.damaged,
+                          .capture = options.capture,
                           .encode = encode,
                           .wanted = {.targets = true, .reconstruction = false}});
   const NoGradGuard no_grad;
@@ -163,7 +174,13 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
     }
     const CascadeOutput out =
         cascade.forward({.image = batch->input, .bsdf = {}}, {.illumination = false, .sss = sss});
+    std::set<int64_t> left_out;  // a stand-in is another test scene: it must not count twice
+    for (const ReplacedScene& scene : batch->replaced) {
+      left_out.insert(scene.sample);
+      if (options.warn) options.warn(fmt::format("scene {} is left out: {}", scene.id, scene.what));
+    }
     for (int64_t n = 0; n < batch->size(); ++n) {
+      if (left_out.contains(n)) continue;
       const SceneValues truth{.normal = image_of(batch->normal, n),
                               .depth = image_of(batch->depth, n),
                               .sss = sss_of(batch->sss, n)};

@@ -1,15 +1,17 @@
 // A cascade's errors over a data set, beside those of predicting the training mean.
 #pragma once
 
-#include <filesystem>
+#include <functional>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "data/dataset.h"
 #include "data/encode.h"
+#include "data/loader.h"
 #include "models/cascade.h"
 #include "train/metrics.h"
 
@@ -26,14 +28,21 @@ struct MeanPredictor {
 };
 
 /// From the training split; from `max_scenes` of it, evenly spread, where it has more. Throws Error where it
-/// is empty, has no ground truth or scenes of several sizes.
-MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes = 4000);
+/// is empty, has no ground truth or scenes of several sizes. Where damage may be skipped, scenes that cannot
+/// be read do not count.
+MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes = 4000,
+                                 DamagePolicy damaged = DamagePolicy::kFail);
 
 struct EvaluateOptions {
   Split split = Split::kTest;
   int64_t max_scenes = 0;  ///< the first so many; 0: all
   int64_t batch = 8;
   int threads = 1;  ///< that read and encode
+  DamagePolicy damaged = DamagePolicy::kFail;
+  /// Images as a camera would take them. The draws are the same in every evaluation.
+  CaptureOptions capture = {};
+  /// Told of each scene that could not be read and is left out.
+  std::function<void(std::string_view)> warn = {};
 };
 
 struct SceneResult {

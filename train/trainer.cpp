@@ -5,6 +5,7 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <numeric>
+#include <set>
 #include <system_error>
 #include <vector>
 
@@ -77,6 +78,7 @@ class Trainer {
   bool run_stage();
   bool run_epoch(Loader& loader);
   void do_step(Loader& loader, std::span<const int64_t> sizes);
+  void count_replaced(const Batch& batch);
   [[noreturn]] void stop_on(const StepFailure& failure);
   void end_epoch();
   void checkpoint();
@@ -105,6 +107,7 @@ class Trainer {
   TrainingState state_;
   std::unique_ptr<Stage> stage_;
   std::unique_ptr<MetricsLog> log_;
+  std::set<std::string> damaged_;  // scenes named in this session
   Clock::time_point epoch_begin_ = Clock::now();
   int signal_ = 0;
 };
@@ -226,6 +229,8 @@ bool Trainer::run_stage() {
                  .threads = static_cast<int>(config_.data.threads),
                  .prefetch = config_.data.prefetch,
                  .cache_bytes = config_.data.cache_mib << 20,
+                 .damaged = config_.data.damaged,
+                 .capture = config_.data.capture,
                  .encode = config_.model.encode,
                  .wanted = {.targets = true, .reconstruction = reconstruction}},
                 {.epoch = before + state_.epoch, .batch = state_.batch});
@@ -277,6 +282,7 @@ void Trainer::do_step(Loader& loader, std::span<const int64_t> sizes) {
   const auto next = [&]() -> Batch {
     std::optional<Batch> batch = loader.next();
     if (!batch) fail("train", "the loader ended inside epoch {}", state_.epoch);
+    count_replaced(*batch);
     return std::move(*batch);
   };
   const StepOutcome outcome = stage_->step(sizes, next, factor);
@@ -302,6 +308,16 @@ void Trainer::do_step(Loader& loader, std::span<const int64_t> sizes) {
                   {"gradient_norm", outcome.gradient_norm},
                   {"losses", outcome.losses},
                   {"wall", {{"images_per_second", progress_.rate()}}}});
+  }
+}
+
+/// Names each damaged scene once a session. The count is of the epoch, so that a resumed run has the same.
+void Trainer::count_replaced(const Batch& batch) {
+  for (const ReplacedScene& scene : batch.replaced) {
+    state_.epoch_sums["replaced"] += 1.0;
+    if (!damaged_.insert(scene.id).second) continue;
+    progress_.note(fmt::format("warning: scene {} is replaced by another: {}", scene.id, scene.what));
+    append_event(options_.run.sessions(), {{"event", "damaged"}, {"scene", scene.id}, {"what", scene.what}});
   }
 }
 
@@ -340,30 +356,35 @@ void Trainer::end_epoch() {
   const double images = state_.epoch_sums.at("images");
   nlohmann::ordered_json losses;
   for (const auto& [name, sum] : state_.epoch_sums) {
-    if (name != "images") losses[name] = sum / images;
+    if (name != "images" && name != "replaced") losses[name] = sum / images;
   }
-  log_->append({{"event", "epoch"},
-                {"stage", state_.stage},
-                {"epoch", state_.epoch},
-                {"step", state_.step},
-                {"images", static_cast<int64_t>(images)},
-                {"losses", losses},
-                {"wall", {{"seconds", epoch_seconds}, {"images_per_second", progress_.rate()}}}});
+  nlohmann::ordered_json event = {{"event", "epoch"},
+                                  {"stage", state_.stage},
+                                  {"epoch", state_.epoch},
+                                  {"step", state_.step},
+                                  {"images", static_cast<int64_t>(images)},
+                                  {"losses", losses}};
+  if (const auto replaced = state_.epoch_sums.find("replaced"); replaced != state_.epoch_sums.end()) {
+    event["replaced"] = static_cast<int64_t>(replaced->second);
+  }
+  event["wall"] = {{"seconds", epoch_seconds}, {"images_per_second", progress_.rate()}};
+  log_->append(std::move(event));
   std::string line = fmt::format("stage {} epoch {}/{}: loss {:.4g}", state_.stage, state_.epoch + 1,
                                  stage_config().epochs, losses.at("total").get<double>());
   if (config_.train.eval_scenes > 0 && dataset_->size(Split::kTest) > 0) {
-    const auto results = evaluate(
-        stage_->cascade(), dataset_, config_.model.encode, nullptr,
-        {.max_scenes = config_.train.eval_scenes, .threads = static_cast<int>(config_.data.threads)});
+    const auto results = evaluate(stage_->cascade(), dataset_, config_.model.encode, nullptr,
+                                  {.max_scenes = config_.train.eval_scenes,
+                                   .threads = static_cast<int>(config_.data.threads),
+                                   .damaged = config_.data.damaged});
     stage_->set_training();
     const EvaluationSummary summary = summarize(results);
-    nlohmann::ordered_json event = {{"event", "eval"},
-                                    {"stage", state_.stage},
-                                    {"epoch", state_.epoch},
-                                    {"step", state_.step},
-                                    {"n", summary.n}};
-    event.update(to_json(summary.cascade));
-    log_->append(std::move(event));
+    nlohmann::ordered_json measured = {{"event", "eval"},
+                                       {"stage", state_.stage},
+                                       {"epoch", state_.epoch},
+                                       {"step", state_.step},
+                                       {"n", summary.n}};
+    measured.update(to_json(summary.cascade));
+    log_->append(std::move(measured));
     line += fmt::format(", test angle {:.2f} degrees",
                         summary.cascade[static_cast<size_t>(Metric::kAngularDegrees)].value_or(0.0));
   }

@@ -179,6 +179,16 @@ for value, (low, high) in [(e["release"][c], e["ci95"]["release"][c]) for c in c
         (e["angular_degrees"], e["ci95"]["angular_degrees"])]:
     assert low <= value <= high, (low, value, high)
 PYTHON
+expect 0 "$opaline" eval "$folder/whole" --data "$folder/data" --sensor --json "$folder/sensor.json"
+says out "with the errors of a sensor"
+python3 - "$folder/eval.json" "$folder/sensor.json" <<'PYTHON'
+import json, sys
+clean, both = (json.load(open(path)) for path in sys.argv[1:])
+sensor = both.pop("sensor")
+assert both == clean, "the clean part must not change"
+assert list(sensor) == list(clean) and sensor["n"] == clean["n"]
+assert sensor["release"] != clean["release"] and sensor["mean_predictor"] == clean["mean_predictor"]
+PYTHON
 expect 2 "$opaline" eval "$folder/whole"
 says err "--data"
 expect 1 "$opaline" eval "$folder/whole" --data "$folder/nowhere"

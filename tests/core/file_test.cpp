@@ -7,6 +7,7 @@
 #include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <span>
 #include <string>
 
 #include "core/error.h"
@@ -31,6 +32,32 @@ TEST_CASE("what is written is read back") {
   write_file_atomically(folder / "file", std::string_view());
   CHECK(read_text(folder / "file").empty());
   CHECK(entries(folder.path()) == 1);  // no temporary file stays
+}
+
+TEST_CASE("a file is read anywhere, and hashed in pieces") {
+  const TemporaryFolder folder;
+  const std::string text = "0123456789";
+  write_file_atomically(folder / "file", text);
+  const FileReader file(folder / "file");
+  CHECK(file.size() == 10);
+  std::string part(4, ' ');
+  file.read(3, std::as_writable_bytes(std::span(part)));
+  CHECK(part == "3456");
+  const std::string name = (folder / "file").string();
+  CHECK_THROWS_WITH(file.read(8, std::as_writable_bytes(std::span(part))), Catch::Contains(name));
+  CHECK_THROWS_WITH(FileReader(folder / "missing"), Catch::Contains("No such file"));
+  CHECK_THROWS_WITH(FileReader(folder.path()), Catch::Contains("not a regular file"));
+  CHECK_THROWS_WITH(FileReader(folder / "file", 9), Catch::Contains("10"));
+  write_file_atomically(folder / "file", std::string("new"));
+  file.read(6, std::as_writable_bytes(std::span(part)));
+  CHECK(part == "6789");  // what was open stays
+
+  const auto bytes = std::as_bytes(std::span(text));
+  Xxh64 hash;
+  CHECK(hash.value() == xxh64({}));
+  hash.add(bytes.first(3));
+  hash.add(bytes.subspan(3));
+  CHECK(hash.value() == xxh64(bytes));
 }
 
 TEST_CASE("files that cannot be read are named") {

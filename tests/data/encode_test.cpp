@@ -123,7 +123,7 @@ TEST_CASE("images are clipped before Stokes, max and min are computed", "[encode
              triple({1, encoded(0.8), encoded(0.3), encoded(0.8), encoded((s0 + s1) / 2),
                      encoded((s0 - s1) / 2), s0, s1, 0}));
   // An exposure of one half lifts the clipping.
-  const Sample dim = encode_scene(flat_scene(1.6F, 1.0F, 0.0F), options, {}, 0.5F);
+  const Sample dim = encode_scene(flat_scene(1.6F, 1.0F, 0.0F), options, {}, Shot::exposed(0.5F));
   check_near(pixel(dim.input, kInside), triple({encoded(0.65), encoded(0.4), encoded(0.15), encoded(0.4),
                                                 encoded(0.65), encoded(0.15), 0.8, 0.5, 0}));
 }

@@ -43,6 +43,34 @@ std::string refusal(const std::vector<std::byte>& bytes) {
   });
 }
 
+TEST_CASE("rows of a part, from pieces of a file", "[exr]") {
+  ExrImage image = two_parts(false);
+  for (const ExrCompression compression : {ExrCompression::kNone, ExrCompression::kRle, ExrCompression::kZips,
+                                           ExrCompression::kZip, ExrCompression::kPiz}) {
+    image.compression = compression;
+    const std::vector<std::byte> bytes = encode_exr(image);
+    const auto chunks = exr_chunks(bytes, image);
+    REQUIRE(chunks.size() == 2);
+    const int64_t head = chunks[0].front().offset;
+    const int64_t second = chunks[1].front().offset;
+    const std::span<const std::byte> all(bytes);
+    const std::vector<ExrBytes> pieces = {{0, all.first(static_cast<size_t>(head))},
+                                          {second, all.subspan(static_cast<size_t>(second))}};
+    const ExrReader reader(pieces, static_cast<int64_t>(bytes.size()), "some.exr");
+    const ExrPart rows = reader.read("second", image.parts[1].channels, ExrRows{5, 8});
+    CHECK(rows.window == Window{-2, 5, 5, 8});
+    CHECK(std::equal(rows.pixels.begin(), rows.pixels.end(), image.parts[1].pixels.begin() + 2 * 7));
+    CHECK(contains(message_of([&] { reader.read("first"); }), "were not read"));
+    CHECK(contains(message_of([&] {
+                     reader.read("second", image.parts[1].channels, ExrRows{0, 3});
+                   }),
+                   "no rows"));
+  }
+  const std::vector<std::byte> bytes = encode_exr(image);
+  const std::vector<ExrBytes> torn = {{0, std::span<const std::byte>(bytes).first(100)}};
+  CHECK_THROWS_AS(ExrReader(torn, static_cast<int64_t>(bytes.size()), "some.exr"), Error);
+}
+
 TEST_CASE("float EXR comes back exactly, channels in the order asked for", "[exr]") {
   const ExrImage image = two_parts(false);
   const std::vector<std::byte> bytes = encode_exr(image);

@@ -1,11 +1,14 @@
 #include "data/loader.h"
 
+#include <malloc.h>
+
 #include <atomic>
 #include <map>
 #include <mutex>
 #include <set>
 #include <thread>
 
+#include "core/memory.h"
 #include "tests/data/support.h"
 
 namespace opaline::test {
@@ -13,17 +16,18 @@ namespace {
 
 constexpr int kSize = 32;
 
-/// Scenes made on the fly; scene i has light that tells i, and scene `broken` cannot be read.
+/// Scenes made on the fly; scene i has light that tells i, and `broken` ones cannot be read.
 class CountedSet final : public Dataset {
  public:
-  explicit CountedSet(int64_t scenes, int64_t broken = -1) : scenes_(scenes), broken_(broken) {}
+  explicit CountedSet(int64_t scenes, std::set<int64_t> broken = {})
+      : scenes_(scenes), broken_(std::move(broken)) {}
 
   const DatasetFacts& facts() const override { return facts_; }
   int64_t size(Split split) const override { return split == Split::kTrain ? scenes_ : 0; }
   std::string id(Split, int64_t index) const override { return fmt::format("s{}", index); }
   Scene load(Split, int64_t index, const LoadOptions&) const override {
     ++loads;
-    if (index == broken_) throw Error("the file ends early");
+    if (broken_.contains(index)) throw Error("the file ends early");
     Scene scene;
     scene.id = id(Split::kTrain, index);
     scene.width = kSize;
@@ -39,7 +43,7 @@ class CountedSet final : public Dataset {
  private:
   DatasetFacts facts_{.layout = "test", .root = "counted", .fingerprint = "0"};
   int64_t scenes_;
-  int64_t broken_;
+  std::set<int64_t> broken_;
 };
 
 LoaderOptions small_options() {
@@ -50,6 +54,16 @@ LoaderOptions small_options() {
   options.epochs = 3;
   options.encode.inputs = {InputKind::kStokes};
   return options;
+}
+
+int64_t options_prefetch() {
+  return LoaderOptions().prefetch;
+}
+
+/// Bytes that malloc has given out; 0 under a sanitizer's allocator.
+int64_t heap_bytes() {
+  const struct mallinfo2 info = ::mallinfo2();
+  return static_cast<int64_t>(info.uordblks + info.hblkhd);
 }
 
 std::vector<std::vector<std::string>> all_ids(Loader& loader) {
@@ -145,13 +159,139 @@ TEST_CASE("a damaged scene is named where its batch is due", "[loader]") {
   LoaderOptions options = small_options();
   options.shuffle = false;
   options.threads = 2;
-  Loader loader(std::make_shared<CountedSet>(13, 6), options);
+  Loader loader(std::make_shared<CountedSet>(13, std::set<int64_t>{6}), options);
   CHECK(loader.next().has_value());
   for (int again = 0; again < 2; ++again) {
     const std::string message = message_of([&] { loader.next(); });
     CHECK(contains(message, "scene s6"));
     CHECK(contains(message, "the file ends early"));
   }
+}
+
+TEST_CASE("ranks share every epoch, in the order of one", "[loader]") {
+  const auto set = std::make_shared<CountedSet>(45);
+  LoaderOptions options = small_options();
+  options.epochs = 2;
+  std::vector<std::string> alone;
+  Loader one(set, options);
+  for (const auto& batch : all_ids(one)) alone.insert(alone.end(), batch.begin(), batch.end());
+  REQUIRE(alone.size() == 90);
+  for (const int64_t ranks : {2, 3, 4, 7}) {
+    options.ranks = ranks;
+    std::vector<std::vector<std::vector<std::string>>> shares;
+    for (options.rank = 0; options.rank < ranks; ++options.rank) {
+      Loader loader(set, options);
+      shares.push_back(all_ids(loader));
+      CHECK(shares.back().size() == shares.front().size());
+      CHECK(static_cast<int64_t>(shares.back().size()) == 2 * loader.batches_per_epoch());
+    }
+    options.rank = 0;
+    std::vector<std::string> together;
+    for (size_t batch = 0; batch < shares[0].size(); ++batch) {
+      for (const auto& share : shares)
+        together.insert(together.end(), share[batch].begin(), share[batch].end());
+    }
+    CHECK(together == alone);
+  }
+  CHECK(batch_sizes(45, 4, 3, 2) ==
+        std::vector<int64_t>{4, 4, 4, 4, 4, 4, 4, 4, 7, 6});  // 5 are too few for two
+  CHECK(batch_sizes(46, 4, 3, 2) == std::vector<int64_t>{4, 4, 4, 4, 4, 4, 4, 4, 4, 4, 3, 3});
+  CHECK(contains(message_of([] { batch_sizes(3, 4, 1, 4); }), "too few for 4 ranks"));
+  options.rank = 7;
+  CHECK_THROWS_AS(Loader(set, options), UsageError);
+}
+
+TEST_CASE("a run goes on in the same order with another number of ranks", "[loader]") {
+  const auto set = std::make_shared<CountedSet>(45);
+  LoaderOptions options = small_options();
+  options.epochs = 2;
+  std::vector<std::string> alone;
+  Loader one(set, options);
+  for (const auto& batch : all_ids(one)) alone.insert(alone.end(), batch.begin(), batch.end());
+  for (const auto& [before, after] : {std::pair<int64_t, int64_t>{1, 2}, {2, 3}, {3, 2}, {2, 1}}) {
+    for (int64_t rounds = 0; rounds <= 3; ++rounds) {
+      options.ranks = before;
+      options.rank = 0;
+      Loader first(set, options);
+      for (int64_t i = 0; i < rounds; ++i) first.next();
+      const LoaderPosition position = first.position();
+      CHECK(position == LoaderPosition{0, rounds * before});
+      options.ranks = after;
+      std::vector<std::vector<std::vector<std::string>>> shares;
+      for (options.rank = 0; options.rank < after; ++options.rank) {
+        Loader loader(set, options, position);
+        shares.push_back(all_ids(loader));
+      }
+      std::vector<std::string> rest;
+      for (size_t batch = 0; batch < shares[0].size(); ++batch) {
+        for (const auto& share : shares) rest.insert(rest.end(), share[batch].begin(), share[batch].end());
+      }
+      const auto taken = static_cast<std::ptrdiff_t>(4 * rounds * before);
+      CHECK(std::vector<std::string>(alone.begin() + taken, alone.end()) == rest);
+    }
+  }
+}
+
+TEST_CASE("the next scene of the order stands in for a damaged one", "[loader]") {
+  const auto set = std::make_shared<CountedSet>(13, std::set<int64_t>{2, 6, 7});
+  LoaderOptions options = small_options();
+  options.shuffle = false;
+  options.damaged = DamagePolicy::kSkip;
+  std::vector<std::vector<std::string>> reference;
+  for (const int threads : {1, 4}) {
+    options.threads = threads;
+    Loader loader(set, options);
+    std::vector<std::vector<std::string>> ids;
+    int64_t replaced = 0;
+    while (const std::optional<Batch> batch = loader.next()) {
+      ids.push_back(batch->ids);
+      for (const ReplacedScene& scene : batch->replaced) {
+        CHECK(set->id(Split::kTrain, 4 * batch->index + scene.sample) == scene.id);
+        CHECK(contains(scene.what, "the file ends early"));
+        ++replaced;
+      }
+    }
+    CHECK(replaced == 3 * 3);
+    REQUIRE(ids.size() == 9);
+    CHECK(ids[0] == std::vector<std::string>{"s0", "s1", "s3", "s3"});
+    CHECK(ids[1] == std::vector<std::string>{"s4", "s5", "s8", "s8"});
+    if (reference.empty()) reference = ids;
+    CHECK(ids == reference);
+  }
+  // From the middle on as from the start.
+  Loader resumed(set, options, {1, 1});
+  const auto rest = all_ids(resumed);
+  CHECK(std::equal(rest.begin(), rest.end(), reference.begin() + 4, reference.end()));
+
+  Loader hopeless(std::make_shared<CountedSet>(3, std::set<int64_t>{0, 1, 2}), options);
+  CHECK(contains(message_of([&] { hopeless.next(); }), "none of 3 scenes can be used"));
+}
+
+TEST_CASE("the sensor's draws depend on epoch and scene, not on threads or place", "[loader]") {
+  const auto set = std::make_shared<CountedSet>(8);
+  LoaderOptions options = small_options();
+  options.capture.exposure = {0.25, 4.0};
+  options.capture.sensor.on = true;
+  options.cache_bytes = 1 << 24;  // scenes stay clean in the cache
+  const auto seen = [&](int threads, LoaderPosition start) {
+    options.threads = threads;
+    Loader loader(set, options, start);
+    std::map<std::pair<int64_t, std::string>, double> values;
+    while (const std::optional<Batch> batch = loader.next()) {
+      const int64_t size = batch->input.numel() / batch->size();
+      for (int64_t i = 0; i < batch->size(); ++i) {
+        values[{batch->epoch, batch->ids[static_cast<size_t>(i)]}] = batch->input.at(i * size);
+      }
+    }
+    return values;
+  };
+  const auto all = seen(1, {});
+  REQUIRE(all.size() == 24);
+  CHECK(seen(3, {}) == all);
+  for (const auto& [key, value] : seen(2, {1, 1})) CHECK(all.at(key) == value);
+  CHECK(all.at({0, "s5"}) != all.at({1, "s5"}));
+  options.seed = 6;
+  CHECK(seen(1, {}).at({0, "s5"}) != all.at({0, "s5"}));
 }
 
 TEST_CASE("the cache keeps scenes up to its bound", "[loader]") {
@@ -189,6 +329,45 @@ TEST_CASE("an empty split and senseless sizes are explained", "[loader]") {
   CHECK_THROWS_AS(Loader(std::make_shared<CountedSet>(3), options, {0, 7}), UsageError);
   options.max_samples = 2;
   CHECK(Loader(std::make_shared<CountedSet>(3), options).samples() == 2);
+}
+
+TEST_CASE("memory does not grow with the set", "[loader]") {
+  // Many lines that name one file: what a large set costs without its disk space.
+  const TempFolder folder;
+  write_small_set(folder.path(), 1, 0);
+  const SceneRecord record = read_scene_index(folder / "train.jsonl").front();
+  const auto write_lines = [&](int64_t count) {
+    std::string text;
+    SceneRecord line = record;
+    for (int64_t i = 0; i < count; ++i) {
+      line.id = std::to_string(i);
+      text += to_json_line(line) + "\n";
+    }
+    write_file_atomically(folder / "train.jsonl", std::string_view(text));
+  };
+  constexpr int64_t kScenes = 5000;
+  std::array<int64_t, 2> held{};
+  std::array<int64_t, 2> pool{};
+  for (const size_t large : {0U, 1U}) {
+    write_lines(large == 1 ? kScenes : 50);
+    tensor_pool().release_cached();
+    tensor_pool().reset_peak();
+    const int64_t before = heap_bytes();
+    const std::shared_ptr<const Dataset> set = open_dataset(folder.path());
+    LoaderOptions options;
+    options.batch = 4;
+    options.threads = 2;
+    options.encode.inputs = {InputKind::kMask};  // small batches: how many are ready at the end is chance
+    options.wanted = {.targets = false, .reconstruction = false};
+    Loader loader(set, options);
+    for (int i = 0; i < 30; ++i) loader.next();
+    held[large] = heap_bytes() - before;
+    pool[large] = tensor_pool().peak_bytes();
+  }
+  // 8 bytes of the index and 8 of each epoch's order that is in use; scenes in flight are beside the point.
+  CHECK(held[1] - held[0] <= kScenes * 40 + (1 << 20));
+  const int64_t sample_bytes = 32 * 32 * (1 + 1) * 4 + 1024;
+  for (const int64_t bytes : pool) CHECK(bytes <= (options_prefetch() + 1) * 4 * sample_bytes);
 }
 
 TEST_CASE("a loader streams a data set of ours", "[loader]") {

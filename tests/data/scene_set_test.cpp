@@ -57,6 +57,9 @@ TEST_CASE("a bad line of the index is refused with file, line and key", "[scene_
   CHECK(contains(refusal("\"coverage\":0.0", "\"coverage\":7"), "'coverage' is 7"));
   CHECK(contains(refusal("\"seconds\":0.25", "\"seconds\":null"), "'seconds' must be a number"));
   CHECK(contains(refusal("}", ""), "is not JSON"));
+  CHECK(contains(refusal("\"seconds\":0.25", "\"seconds\":0.25,\"sections\":[[1,\"a\"]]"),
+                 "'sections' must hold 6"));
+  CHECK(contains(refusal("\"seconds\":0.25", "\"seconds\":0.25,\"sections\":[1,2,3,4,5,6]"), "'sections'"));
 }
 
 TEST_CASE("damaged index lines are parsed or refused, never more", "[scene_set][fuzz]") {
@@ -131,6 +134,145 @@ TEST_CASE("what is not asked for is not loaded", "[scene_set]") {
   CHECK(scene.normal.empty());
   CHECK(scene.depth.empty());
   CHECK(scene.mask == set->load(Split::kTrain, 0).mask);
+}
+
+TEST_CASE("masked inputs need the object's lines alone", "[scene_set]") {
+  const TempFolder folder;
+  write_small_set(folder.path(), 1, 0, 64);
+  const auto set = open_dataset(folder.path());
+  const Scene whole = set->load(Split::kTrain, 0);
+  const Scene part = set->load(Split::kTrain, 0, {.bsdf = false, .whole = false});
+  const SceneRecord record = read_scene_index(folder / "train.jsonl").front();
+  const Window window = grown(record.box, 1, 64, 64);
+  REQUIRE(part.window == window);
+  for (int y = window.y0; y < window.y1; ++y) {
+    for (int x = window.x0; x < window.x1; ++x) {
+      const auto from = static_cast<size_t>((y - window.y0) * window.width() + x - window.x0) * 9;
+      const auto to = static_cast<size_t>(y * 64 + x) * 9;
+      for (size_t c = 0; c < 9; ++c) REQUIRE(part.image[from + c] == whole.image[to + c]);
+    }
+  }
+  CHECK(part.mask == whole.mask);
+  CHECK(part.normal == whole.normal);
+  CHECK(part.depth == whole.depth);
+
+  // Sections tile the file; those around the box and the pure-BSDF part are not looked at.
+  REQUIRE(record.sections.has_value());
+  const fs::path file = folder / record.file;
+  std::vector<std::byte> bytes = read_file(file);
+  int64_t sum = 0;
+  std::array<int64_t, kSceneSections> begin{};
+  for (size_t i = 0; i < kSceneSections; ++i) {
+    begin[i] = sum;
+    sum += (*record.sections)[i].bytes;
+    CHECK((*record.sections)[i].bytes > 0);
+  }
+  CHECK(sum == static_cast<int64_t>(bytes.size()));
+  const auto loads_with_flip = [&](SceneSection section, const LoadOptions& options) {
+    std::vector<std::byte> damaged = bytes;
+    const auto i = static_cast<size_t>(section);
+    damaged[static_cast<size_t>(begin[i] + (*record.sections)[i].bytes / 2)] ^= std::byte{16};
+    write_file_atomically(file, damaged);
+    try {
+      set->load(Split::kTrain, 0, options);
+      return true;
+    } catch (const Error& e) {
+      CHECK(contains(e.what(), "scene 0 is damaged"));
+      return false;
+    }
+  };
+  const LoadOptions object{.bsdf = false, .whole = false};
+  const LoadOptions light{.bsdf = false, .whole = true};
+  using enum SceneSection;
+  for (const SceneSection section : {kHead, kBox, kTruth}) CHECK_FALSE(loads_with_flip(section, object));
+  for (const SceneSection section : {kAbove, kBelow, kBsdf}) CHECK(loads_with_flip(section, object));
+  for (const SceneSection section : {kHead, kAbove, kBox, kBelow, kTruth}) {
+    CHECK_FALSE(loads_with_flip(section, light));
+  }
+  CHECK(loads_with_flip(kBsdf, light));
+  for (size_t i = 0; i < kSceneSections; ++i) CHECK_FALSE(loads_with_flip(static_cast<SceneSection>(i), {}));
+  bytes.pop_back();
+  write_file_atomically(file, bytes);
+  CHECK(contains(message_of([&] { set->load(Split::kTrain, 0, object); }), "the index says"));
+}
+
+TEST_CASE("a set without sections is read whole", "[scene_set]") {
+  const TempFolder folder;
+  write_small_set(folder.path(), 1, 0, 64);
+  const Scene expected = open_dataset(folder.path())->load(Split::kTrain, 0, {.bsdf = false, .whole = false});
+  std::vector<SceneRecord> records = read_scene_index(folder / "train.jsonl");
+  records[0].sections.reset();
+  write_scene_index(folder / "train.jsonl", records);
+  const Scene scene = open_dataset(folder.path())->load(Split::kTrain, 0, {.bsdf = false, .whole = false});
+  CHECK(scene.window == expected.window);
+  CHECK(scene.image == expected.image);
+}
+
+TEST_CASE("an object that fills the image can be read in part too", "[scene_set]") {
+  const TempFolder folder;
+  SceneImages images = small_images(32, 32);
+  images.coverage.assign(images.coverage.size(), 1.0F);
+  images.normal.clear();
+  for (size_t i = 0; i < images.coverage.size(); ++i) images.normal.insert(images.normal.end(), {0, 0, 1});
+  SceneRecord record = small_record("0");
+  write_scene(folder.path(), 0, images, record);
+  CHECK((*record.sections)[static_cast<size_t>(SceneSection::kAbove)].bytes == 0);
+  write_scene_index(folder / "train.jsonl", {record});
+  write_scene_set_info(folder.path(), {.train = 1, .width = 32, .height = 32});
+  const auto set = open_dataset(folder.path());
+  CHECK(set->load(Split::kTrain, 0, {.bsdf = false, .whole = false}).image ==
+        set->load(Split::kTrain, 0).image);
+}
+
+TEST_CASE("every way of storing scenes gives the same scene", "[scene_set]") {
+  const TempFolder folder;
+  std::vector<SceneRecord> records;
+  for (const ExrCompression compression : {ExrCompression::kNone, ExrCompression::kRle, ExrCompression::kZips,
+                                           ExrCompression::kZip, ExrCompression::kPiz}) {
+    SceneRecord record = small_record(std::to_string(records.size()));
+    write_scene(folder.path(), static_cast<int64_t>(records.size()), small_images(64, 64), record,
+                {.compression = compression});
+    records.push_back(record);
+  }
+  write_scene_index(folder / "train.jsonl", records);
+  write_scene_set_info(folder.path(), {.train = 5, .width = 64, .height = 64});
+  const auto set = open_dataset(folder.path());
+  for (const bool whole : {true, false}) {
+    const LoadOptions options{.bsdf = whole, .whole = whole};
+    const Scene first = set->load(Split::kTrain, 0, options);
+    for (int64_t i = 1; i < 5; ++i) {
+      const Scene scene = set->load(Split::kTrain, i, options);
+      CHECK(scene.image == first.image);
+      CHECK(scene.bsdf == first.bsdf);
+      CHECK(scene.normal == first.normal);
+    }
+  }
+}
+
+TEST_CASE("an index is read in pieces, its lines and ids checked", "[scene_set]") {
+  const TempFolder folder;
+  write_small_set(folder.path(), 1, 0);
+  SceneRecord record = read_scene_index(folder / "train.jsonl").front();
+  std::string text;
+  for (int i = 0; i < 3000; ++i) {  // over two pieces of a mebibyte
+    record.id = "scene-" + std::to_string(i);
+    text += to_json_line(record) + (i % 7 == 0 ? "\n\n" : "\n");
+  }
+  REQUIRE(text.size() > (size_t{2} << 20));
+  write_file_atomically(folder / "train.jsonl", std::string_view(text));
+  const auto set = open_dataset(folder.path());
+  REQUIRE(set->size(Split::kTrain) == 3000);
+  for (const int64_t i : {0, 1, 7, 1100, 1101, 2999}) {
+    CHECK(set->id(Split::kTrain, i) == "scene-" + std::to_string(i));
+  }
+  CHECK(set->load(Split::kTrain, 2999).id == "scene-2999");
+  record.id = "scene-17";
+  append_scene_record(folder / "train.jsonl", record);
+  CHECK(contains(message_of([&] { open_dataset(folder.path()); }), "lists scene scene-17 twice"));
+  write_file_atomically(folder / "train.jsonl", text + "{\"id\": 3}\n");
+  CHECK(contains(message_of([&] { open_dataset(folder.path()); }), "train.jsonl:3430"));
+  // The open set goes on with the file that it has checked.
+  CHECK(set->id(Split::kTrain, 5) == "scene-5");
 }
 
 TEST_CASE("the box is that of the coverage", "[scene_set]") {

@@ -210,7 +210,9 @@ std::vector<Bytes> index_seeds() {
   record.spp = 64;
   record.seconds = 1.5;
   const std::string line = to_json_line(record);
-  return {to_bytes(line + "\n" + line + "\n")};
+  record.sections.emplace();
+  for (FileSection& section : *record.sections) section = {.bytes = 1234, .xxh64 = "0123456789abcdef"};
+  return {to_bytes(line + "\n" + to_json_line(record) + "\n")};
 }
 
 void parse_index(std::span<const std::byte> bytes) {

@@ -126,6 +126,31 @@ TEST_CASE("values that contradict each other are errors") {
   CHECK_THAT(error_of("", {"train.bach=3"}), Contains("bach") && Contains("batch"));
 }
 
+TEST_CASE("exposure, sensor and damage policy come from [data], off by default") {
+  const RunConfig plain = parse_run_config("", "test.toml");
+  CHECK(plain.data.capture.off());
+  CHECK(plain.data.damaged == DamagePolicy::kFail);
+  CHECK_THAT(plain.text,
+             Contains("sensor = false") && Contains("sensor_angle = 1.0") && Contains("exposure"));
+  const RunConfig config = parse_run_config(
+      "[data]\nexposure = [0.5, 2]\nsensor = true\nsensor_noise = [1e-4, 2e-4, 3e-4]\nsensor_angle = 2\n"
+      "sensor_mosaic = false\ndamaged = 'skip'\n",
+      "test.toml");
+  CHECK(config.data.capture.exposure == std::array{0.5, 2.0});
+  CHECK(config.data.capture.sensor.on);
+  CHECK(config.data.capture.sensor.noise == std::array{1e-4, 2e-4, 3e-4});
+  CHECK(config.data.capture.sensor.angle == 2.0);
+  CHECK_FALSE(config.data.capture.sensor.mosaic);
+  CHECK(config.data.damaged == DamagePolicy::kSkip);
+  CHECK(config_differences(plain.text, config.text).size() == 6);
+  CHECK_THAT(error_of("[data]\nexposure = [2, 1]\n"), Contains("[low, high]"));
+  CHECK_THAT(error_of("[data]\nexposure = [1]\n"), Contains("exposure"));
+  CHECK_THAT(error_of("[data]\nexposure = [0, 1]\n"), Contains("exposure"));
+  CHECK_THAT(error_of("[data]\nsensor_gian = 0.1\n"), Contains("sensor_gain"));
+  CHECK_THAT(error_of("[data]\nsensor_extinction = 1.1\n"), Contains("sensor_extinction"));
+  CHECK_THAT(error_of("[data]\ndamaged = 'ignore'\n"), Contains("skip"));
+}
+
 TEST_CASE("a small micro-batch is a warning") {
   const RunConfig config = parse_run_config("[train]\nbatch = 8\nmicro_batch = 4\n", "test.toml");
   REQUIRE(config.warnings.size() == 1);

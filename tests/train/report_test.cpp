@@ -125,6 +125,39 @@ TEST_CASE("evaluation does not depend on the batch, and its JSON has the contrac
   CHECK_THAT(format_table(summarize(one)), Contains("training mean") && Contains("5 scenes"));
 }
 
+TEST_CASE("evaluation on sensor images is another, the same every time; damaged scenes may be left out") {
+  const auto dataset =
+      std::make_shared<test::SyntheticDataset>(test::SyntheticOptions{.train = 4, .test = 4, .damaged = 2});
+  CHECK_THROWS_AS(fit_mean_predictor(*dataset), Error);
+  const MeanPredictor mean = fit_mean_predictor(*dataset, 0, DamagePolicy::kSkip);
+  Cascade cascade(
+      {.network = {.variant = Variant::kPaper, .input_channels = 19, .image_size = 32, .width = 4},
+       .stage = 2,
+       .reconstruction = false});
+  cascade.initialize(1);
+  EvaluateOptions options{.batch = 2};
+  CHECK_THROWS_AS(evaluate(cascade, dataset, EncodeOptions::paper(), &mean, options), Error);
+  std::vector<std::string> warnings;
+  options.damaged = DamagePolicy::kSkip;
+  options.warn = [&](std::string_view line) { warnings.emplace_back(line); };
+  const auto clean = evaluate(cascade, dataset, EncodeOptions::paper(), &mean, options);
+  REQUIRE(clean.size() == 3);
+  CHECK(clean[2].id == "test-3");
+  REQUIRE(warnings.size() == 1);
+  CHECK_THAT(warnings[0], Contains("test-2") && Contains("the file ends early"));
+  options.capture.sensor.on = true;
+  const auto sensor = evaluate(cascade, dataset, EncodeOptions::paper(), &mean, options);
+  options.batch = 1;
+  const auto again = evaluate(cascade, dataset, EncodeOptions::paper(), &mean, options);
+  REQUIRE(sensor.size() == 3);
+  for (size_t i = 0; i < sensor.size(); ++i) {
+    CHECK(*sensor[i].cascade[0] != *clean[i].cascade[0]);
+    CHECK(*sensor[i].cascade[0] == Approx(*clean[i].cascade[0]).epsilon(0.2));
+    CHECK(*sensor[i].cascade[0] == Approx(*again[i].cascade[0]).epsilon(1e-4));
+    CHECK(sensor[i].mean == clean[i].mean);
+  }
+}
+
 TEST_CASE("the numbers of one scene are those that its maps give by hand") {
   const auto dataset =
       std::make_shared<test::SyntheticDataset>(test::SyntheticOptions{.train = 1, .test = 1});

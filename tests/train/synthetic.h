@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <string>
 
+#include "core/error.h"
 #include "core/random.h"
 #include "data/dataset.h"
 
@@ -21,6 +22,7 @@ struct SyntheticOptions {
   int64_t poisoned = -1;   ///< training scene whose normals hold a NaN, as no reader would give
   int64_t empty = -1;      ///< training scene without an object
   int64_t one_pixel = -1;  ///< training scene whose object is one pixel
+  int64_t damaged = -1;    ///< scene of both splits that cannot be read
 };
 
 class SyntheticDataset : public Dataset {
@@ -39,6 +41,7 @@ class SyntheticDataset : public Dataset {
   }
 
   Scene load(Split split, int64_t index, const LoadOptions& wanted) const override {
+    if (index == options_.damaged) throw Error("the file ends early");
     Random random(7, Purpose::kTest, split == Split::kTrain ? 0 : 1, static_cast<uint32_t>(index));
     Scene scene;
     scene.id = id(split, index);

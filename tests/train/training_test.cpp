@@ -140,6 +140,60 @@ TEST_CASE("a run that was stopped and resumed is bitwise the run that was not") 
   }
 }
 
+TEST_CASE("a damaged scene ends a run or is named, counted and replaced, as the config says") {
+  const auto damaged = [] { return scenes({.train = 20, .test = 2, .damaged = 1}); };
+  const TemporaryFolder fails("damaged-fails");
+  CHECK_THROWS_WITH(start_training(small_config(), quiet(fails.path(), damaged())),
+                    Contains("train-1") && Contains("the file ends early"));
+
+  const RunConfig config = small_config({"data.damaged=skip", "data.threads=2"});
+  const TemporaryFolder whole("damaged-whole");
+  CHECK(start_training(config, quiet(whole.path(), damaged())).step == 12);
+  int64_t epochs = 0;
+  for (const nlohmann::json& event : read_events(whole.path() / "metrics.jsonl")) {
+    if (event["event"] == "epoch") {
+      ++epochs;
+      CHECK(event.at("replaced") == 1);
+      CHECK(event.at("images") == 20);
+      CHECK_FALSE(event.at("losses").contains("replaced"));
+    }
+    if (event["event"] == "eval") CHECK(event.at("n") == 1);  // of two test scenes
+  }
+  CHECK(epochs == 4);
+  int64_t named = 0;
+  for (const nlohmann::json& event : read_events(whole.path() / "sessions.jsonl")) {
+    if (event["event"] == "damaged") {
+      ++named;
+      CHECK(event.at("scene") == "train-1");
+    }
+  }
+  CHECK(named == 1);
+
+  const TemporaryFolder parts("damaged-parts");
+  start_training(config, stopping_after(4, quiet(parts.path(), damaged())));
+  resume_training(config, quiet(parts.path(), damaged()));
+  check_same_run(whole.path(), parts.path(), "step-12");
+}
+
+TEST_CASE("a run on sensor images resumes bitwise") {
+  const RunConfig config = small_config({"data.sensor=true", "data.exposure=[0.5,2]"});
+  const TemporaryFolder whole("sensor-whole");
+  const TemporaryFolder parts("sensor-parts");
+  start_training(config, quiet(whole.path()));
+  start_training(config, stopping_after(5, quiet(parts.path())));
+  resume_training(
+      small_config({"data.sensor=true", "data.exposure=[0.5,2]", "data.threads=3", "data.cache_mib=0"}),
+      quiet(parts.path()));
+  const auto left = files_of(whole.path() / "checkpoints/step-12");
+  for (const auto& [name, bytes] : files_of(parts.path() / "checkpoints/step-12")) {
+    if (name != "state.json") CHECK(left.at(name) == bytes);  // it holds the config
+  }
+  CHECK(log_without_wall(whole.path()) == log_without_wall(parts.path()));
+  const TemporaryFolder clean("sensor-clean");
+  start_training(small_config(), quiet(clean.path()));
+  CHECK(log_without_wall(whole.path()) != log_without_wall(clean.path()));
+}
+
 TEST_CASE("threads change nothing but the time") {
   const TemporaryFolder folder("threads");
   for (const std::string threads : {"1", "2", "3"}) {
