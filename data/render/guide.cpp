@@ -19,6 +19,8 @@ constexpr double kFloor = 0.05;
 constexpr double kSharpest = 0.8;
 /// Light darker than this on all colours is not followed.
 constexpr double kDark = 1e-2;
+/// Light that single-precision counts could lose.
+constexpr double kFaintest = 1e-30;
 /// Bends the sides' coordinates: s = t (1 + c) / (1 + c |t|) for t in [-1, 1].
 constexpr double kWarp = 0.27;
 
@@ -180,6 +182,7 @@ Guide::Guide(const World& world, const Illumination& light, const Vec3& low, con
 
   const auto leave = [&](const Vec3& position, const DirectionBins::Place& place, double weight,
                          bool second) {
+    if (!(weight > kFaintest)) return;
     // Jittered by up to half a cell: neighbouring cells share what they know.
     const Vec3 p = position + Vec3{(random.uniform() - 0.5) / cells_per_length_.x,
                                    (random.uniform() - 0.5) / cells_per_length_.y,
