@@ -43,8 +43,16 @@ Errors compare(const render::SceneRender& image, const Reference& reference) {
   return errors;
 }
 
-constexpr std::array<Saving, 1> kSavings = {{
-    {"guide", [](render::RenderOptions& options) { options.savings.guide = false; }},
+using Options = render::RenderOptions;
+constexpr std::array<Saving, 8> kSavings = {{
+    {"guide", [](Options& o) { o.savings.guide = false; }},
+    {"guide by need", [](Options& o) { o.savings.guide_by_need = false; }},
+    {"counts by part", [](Options& o) { o.savings.parts = false; }},
+    {"counts by pixel", [](Options& o) { o.savings.pixels = false; }},
+    {"shared paths", [](Options& o) { o.savings.shared_paths = false; }},
+    {"background", [](Options& o) { o.savings.background = false; }},
+    {"bounded queries", [](Options& o) { o.savings.bounded_queries = false; }},
+    {"even samples", [](Options& o) { o.savings.even_samples = false; }},
 }};
 
 }  // namespace
@@ -107,13 +115,14 @@ Reference ErrorMeter::reference(int64_t spp, int64_t renders) {
 ErrorPoint ErrorMeter::measure(const Reference& reference, const Setting& setting) {
   ErrorPoint point;
   point.setting = setting;
-  point.samples = static_cast<double>(setting.options.spp);
+  double samples = 0.0;
   std::vector<double> cpu, wall;
   std::array<double, 4> sum{}, squares{};
   for (int64_t k = 0; k < setting.renders; ++k) {
     const auto begin = std::chrono::steady_clock::now();
     const double cpu_begin = process_seconds();
     const render::SceneRender image = render(setting.options);
+    samples += image.spp / static_cast<double>(setting.renders);
     cpu.push_back(process_seconds() - cpu_begin);
     wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
     const std::array<double, 4> errors = compare(image, reference).all();
@@ -123,6 +132,7 @@ ErrorPoint ErrorMeter::measure(const Reference& reference, const Setting& settin
     }
     rendered_();
   }
+  point.samples = samples;
   point.cost = {median(cpu), median(wall)};
   const auto n = static_cast<double>(setting.renders);
   for (size_t i = 0; i < sum.size(); ++i) {

@@ -52,7 +52,7 @@ struct Setting {
 /// A setting's result.
 struct ErrorPoint {
   Setting setting;
-  double samples = 0;                      ///< a pixel
+  double samples = 0;                      ///< scattered paths a pixel of the object
   Cost cost{};                             ///< of one render, median; with everything that is prepared for it
   std::array<double, 4> mse{};             ///< mean, in the order of kErrorNames
   std::array<double, 4> standard_error{};  ///< of that mean, from the spread of the renders

@@ -27,7 +27,9 @@ struct Arguments {
   std::vector<std::string> scenes;
   int size = 48;
   std::vector<int64_t> spp = {4, 16, 64, 256};
-  int64_t repeats = 0;  // 0: by the samples
+  std::vector<double> error = {0.4, 0.2, 0.1};
+  int64_t repeats = 0;    // 0: by the samples
+  int64_t reference = 0;  // samples; 0: by the settings
   uint64_t seed = 1;
   int threads = 0;
   bool quick = false;
@@ -41,8 +43,9 @@ struct Arguments {
 /// known and subtracted; this only keeps it from drowning what is measured.
 constexpr int64_t kReferenceFactor = 4;
 constexpr int64_t kReferenceRenders = 16;
-/// Savings are measured at about this many samples.
-constexpr int64_t kSavingsSpp = 64;
+constexpr int64_t kLeastReference = 256;
+/// Unscattered samples at least where `error` plans: the full image alone is measured here.
+constexpr int64_t kPlannedSpp = 4;
 
 /// A saving switched off.
 struct SavingResult {
@@ -58,23 +61,25 @@ struct SceneResult {
   std::vector<SavingResult> savings;
 };
 
-/// What every scene is rendered with.
+/// What every scene is rendered with: first the fixed counts, then the planned ones.
 std::vector<Setting> settings_of(const Arguments& a) {
   std::vector<Setting> settings;
   for (const int64_t spp : a.spp) {
     const int64_t renders = a.repeats > 0 ? a.repeats : std::clamp<int64_t>(256 / spp, 4, 16);
     settings.push_back({.name = fmt::format("{}", spp), .options = {.spp = spp}, .renders = renders});
   }
+  for (const double error : a.error) {
+    settings.push_back({.name = fmt::format("error {}", error),
+                        .options = {.spp = kPlannedSpp, .error = error},
+                        .renders = a.repeats > 0 ? a.repeats : 4});
+  }
   return settings;
 }
 
-/// The setting that savings are switched off in.
-size_t savings_index(std::span<const Setting> settings) {
-  size_t best = 0;
-  for (size_t i = 1; i < settings.size(); ++i) {
-    if (settings[i].options.spp <= kSavingsSpp) best = i;
-  }
-  return best;
+/// The setting that savings are switched off in: the middle one of those that plan, else of those that do
+/// not.
+size_t savings_index(const Arguments& a) {
+  return a.error.empty() ? a.spp.size() / 2 : a.spp.size() + a.error.size() / 2;
 }
 
 std::vector<const BenchScene*> chosen_scenes(const Arguments& a) {
@@ -92,15 +97,16 @@ SceneResult run_scene(const BenchScene& scene, const render::Camera& camera, con
   const render::SceneModel model = make_bench_scene(scene, camera);
   ErrorMeter meter(model, camera, a.seed, [&] { progress.advance(1, scene.name); });
   SceneResult result{.scene = &scene, .reference = {}, .points = {}, .savings = {}};
-  const int64_t largest = *std::max_element(a.spp.begin(), a.spp.end());
-  result.reference = meter.reference(kReferenceFactor * largest, kReferenceRenders);
+  const int64_t largest = a.spp.empty() ? kLeastReference : *std::max_element(a.spp.begin(), a.spp.end());
+  result.reference =
+      meter.reference(a.reference > 0 ? a.reference : kReferenceFactor * largest, kReferenceRenders);
   if (result.reference.pixels == 0) {
     fail_usage("bench render", "at --size {} the body of '{}' fills no pixel", a.size, scene.name);
   }
-  const std::vector<Setting> settings = settings_of(a);
-  for (const Setting& setting : settings) result.points.push_back(meter.measure(result.reference, setting));
+  for (const Setting& setting : settings_of(a))
+    result.points.push_back(meter.measure(result.reference, setting));
   if (a.no_savings) return result;
-  const ErrorPoint& with = result.points[savings_index(settings)];
+  const ErrorPoint& with = result.points[savings_index(a)];
   for (const Saving& saving : savings()) {
     Setting setting = with.setting;
     saving.off(setting.options);
@@ -117,12 +123,13 @@ SceneResult run_scene(const BenchScene& scene, const render::Camera& camera, con
 void print_scene(const SceneResult& result) {
   fmt::print("{}: {}; {} pixels, mean S0 {:.4g}, reference of {} samples\n", result.scene->name,
              result.scene->text, result.reference.pixels, result.reference.mean_s0(), result.reference.spp);
-  fmt::print("  {:>10} {:>9} {:>9}", "samples", "CPU s", "wall s");
+  fmt::print("  {:>10} {:>9} {:>9} {:>9}", "", "samples", "CPU s", "wall s");
   for (const std::string_view name : kErrorNames) fmt::print("  {:>19}", fmt::format("MSE {}", name));
   for (size_t i = 0; i < 3; ++i) fmt::print("  {:>9}", fmt::format("eff. {}", kErrorNames[i]));
   fmt::print("\n");
   for (const ErrorPoint& point : result.points) {
-    fmt::print("  {:>10} {:>9.4f} {:>9.4f}", point.setting.name, point.cost.cpu, point.cost.wall);
+    fmt::print("  {:>10} {:>9.1f} {:>9.4f} {:>9.4f}", point.setting.name, point.samples, point.cost.cpu,
+               point.cost.wall);
     for (size_t i = 0; i < kErrorNames.size(); ++i) {
       fmt::print("  {:>19}", fmt::format("{:.3e} +- {:.0e}", point.mse[i], point.standard_error[i]));
     }
@@ -243,9 +250,12 @@ std::string plot(const std::vector<SceneResult>& results) {
   return svg + "</svg>\n";
 }
 
-void run_bench_render(Arguments a, bool spp_given, bool size_given) {
+void run_bench_render(Arguments a, bool spp_given, bool error_given, bool size_given) {
+  // Who names one kind wants that alone.
+  if (error_given && !spp_given) a.spp.clear();
+  if (spp_given && !error_given) a.error.clear();
   if (a.quick) {
-    if (!spp_given) a.spp = {4, 16, 64};
+    if (!spp_given && !error_given) a.spp = {4, 16, 64}, a.error = {0.4, 0.2};
     if (!size_given) a.size = 32;
   }
   for (const std::string& name : a.scenes) {
@@ -256,7 +266,10 @@ void run_bench_render(Arguments a, bool spp_given, bool size_given) {
       fail_usage("bench render", "no scene is called '{}'; there are {}", name, fmt::join(names, ", "));
     }
   }
+  if (a.spp.empty() && a.error.empty())
+    fail_usage("bench render", "neither --spp nor --error names a setting");
   std::sort(a.spp.begin(), a.spp.end());
+  std::sort(a.error.rbegin(), a.error.rend());
   set_num_threads(a.threads);
   const render::Camera camera{.width = a.size, .height = a.size};
   const std::vector<const BenchScene*> scenes = chosen_scenes(a);
@@ -265,7 +278,7 @@ void run_bench_render(Arguments a, bool spp_given, bool size_given) {
   int64_t renders = kReferenceRenders;
   for (const Setting& setting : settings) renders += setting.renders;
   if (!a.no_savings) {
-    renders += static_cast<int64_t>(savings().size()) * settings[savings_index(settings)].renders;
+    renders += static_cast<int64_t>(savings().size()) * settings[savings_index(a)].renders;
   }
   Progress progress(default_progress());
   progress.start(0, renders * static_cast<int64_t>(scenes.size()));
@@ -303,7 +316,16 @@ void add_bench_render(CLI::App& bench) {
                          ->delimiter(',')
                          ->check(CLI::PositiveNumber)
                          ->capture_default_str();
+  CLI::Option* error =
+      command->add_option("--error", a->error, "Wanted errors of S0, relative to its mean (render.error)")
+          ->delimiter(',')
+          ->check(CLI::Range(1e-3, 10.0))
+          ->capture_default_str();
   command->add_option("--repeats", a->repeats, "Renders of each count; 0: 4 to 16, more of the quick ones")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  command
+      ->add_option("--reference", a->reference, "Samples of the reference; 0: four times the largest --spp")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
   command->add_option("--seed", a->seed, "Seed")->capture_default_str();
@@ -316,7 +338,9 @@ void add_bench_render(CLI::App& bench) {
       "--export", a->export_to,
       "Write scenes that other renderers can express (mesh, parameters, reference) to this folder");
   CLI::Option* size = command->get_option("--size");
-  command->callback([a, spp, size] { run_bench_render(*a, spp->count() > 0, size->count() > 0); });
+  command->callback([a, spp, error, size] {
+    run_bench_render(*a, spp->count() > 0, error->count() > 0, size->count() > 0);
+  });
 }
 
 }  // namespace opaline::cli

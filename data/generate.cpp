@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <map>
 #include <mutex>
 
@@ -86,6 +87,8 @@ Rendered render_number(const GenerateConfig& config, const AssetFolders& assets,
     }
     render::SceneRender made = render_scene(scene, config.camera,
                                             {.spp = config.spp,
+                                             .error = config.error,
+                                             .dop_error = config.dop_error,
                                              .bsdf = config.bsdf,
                                              .photons = config.photons,
                                              .seed = config.seed,
@@ -106,7 +109,7 @@ Rendered render_number(const GenerateConfig& config, const AssetFolders& assets,
     record.object = scene.object;
     record.environment = scene.environment;
     record.seed = config.seed;
-    record.spp = config.spp;
+    record.spp = static_cast<int64_t>(std::llround(made.spp));
     result.faults = made.faults;
     result.images = {.width = made.width,
                      .height = made.height,

@@ -48,13 +48,14 @@ std::string GenerateConfig::text() const {
   }
   const auto range = [](const render::Range& r) { return fmt::format("[{}, {}]", r.low, r.high); };
   std::string result = fmt::format(
-      "seed = {}\nsize = {}\nspp = {}\nbsdf = \"{}\"\nphotons = {}\nfamilies = [\"{}\"]\nradius = {}\n"
+      "seed = {}\nsize = {}\nspp = {}\nerror = {}\ndop_error = {}\nbsdf = \"{}\"\nphotons = {}\nfamilies = "
+      "[\"{}\"]\nradius = {}\n"
       "offset = {}\nbump = {}\nsigma_t = {}\nalbedo = {}\ng = {}\nflash = {}\nenvironment = {}\n"
       "contrast = {}\nlamp = {}\n",
-      seed, camera.width, spp, render::kBsdfReadingNames[static_cast<size_t>(bsdf)], photons,
-      fmt::join(names, "\", \""), range(ranges.radius), ranges.offset, ranges.bump, range(ranges.sigma_t),
-      range(ranges.albedo), range(ranges.g), range(ranges.flash), range(ranges.environment),
-      range(ranges.room.contrast), range(ranges.room.lamp));
+      seed, camera.width, spp, error, dop_error, render::kBsdfReadingNames[static_cast<size_t>(bsdf)],
+      photons, fmt::join(names, "\", \""), range(ranges.radius), ranges.offset, ranges.bump,
+      range(ranges.sigma_t), range(ranges.albedo), range(ranges.g), range(ranges.flash),
+      range(ranges.environment), range(ranges.room.contrast), range(ranges.room.lamp));
   if (assets.any()) {
     result += fmt::format(
         "objects = \"{}\"\nobject_share = {}\nbumps = \"{}\"\nbump_share = {}\npanoramas = \"{}\"\n"
@@ -74,6 +75,10 @@ GenerateConfig read_generate_config(const TomlTable& table) {
   c.camera.width = c.camera.height =
       static_cast<int>(table.integer("size", c.camera.width, {.min = 16, .max = 4096}));
   c.spp = table.integer("spp", c.spp, {.min = 1, .max = 1'000'000});
+  c.error = table.real("error", c.error, {.min = 0.0, .max = 10.0});
+  if (c.error > 0.0 && c.error < 1e-4) table.error("error", "is below 1e-4; 0 is for a fixed spp");
+  c.dop_error = table.real("dop_error", c.dop_error, {.min = 0.0, .max = 10.0});
+  if (c.dop_error > 0.0 && !(c.error > 0.0)) table.error("dop_error", "needs error, which plans the samples");
   c.bsdf = table.choice("bsdf", "clear", render::kBsdfReadingNames) == "clear"
                ? render::BsdfReading::kClear
                : render::BsdfReading::kReflection;

@@ -18,9 +18,11 @@ struct GenerateConfig {
   render::Camera camera{};
   render::SceneRanges ranges{};
   AssetConfig assets{};
-  int64_t spp = 32;  ///< samples a pixel
+  int64_t spp = 32;    ///< samples a pixel; with `error` the least of the pure-BSDF image's
+  double error = 0.0;  ///< over 0: samples follow these errors (data/render/render.h)
+  double dop_error = 0.0;
   render::BsdfReading bsdf = render::BsdfReading::kClear;
-  int64_t photons = 8192;  ///< light sub-paths of a scene's guide
+  int64_t photons = 0;  ///< light sub-paths of a scene's guide; 0: as many as it can use
 
   /// Every key above that decides what a scene looks like, as TOML lines: what a resumed run is compared
   /// with.

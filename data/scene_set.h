@@ -45,7 +45,7 @@ struct SceneRecord {
   std::string object;
   std::string environment;
   uint64_t seed = 0;
-  int64_t spp = 0;
+  int64_t spp = 0;  ///< camera paths into the medium, a pixel of the object, mean
   double seconds = 0;
   /// Lets a reader fetch and check a part of the file; without them the whole file is read.
   std::optional<std::array<FileSection, kSceneSections>> sections;

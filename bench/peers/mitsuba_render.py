@@ -51,7 +51,7 @@ def parse_arguments():
     parser.add_argument("--opaline", default=str(ROOT / "build" / "release" / "opaline"))
     parser.add_argument("--threads", type=int, default=2, help="of either renderer")
     parser.add_argument("--size", type=int, default=48)
-    parser.add_argument("--spp", type=int, nargs="+", default=[64, 256], help="samples of opaline")
+    parser.add_argument("--error", type=float, nargs="+", default=[0.1, 0.05], help="errors asked of opaline")
     parser.add_argument("--peer-spp", type=int, default=256, help="samples of Mitsuba")
     parser.add_argument("--rounds", type=int, default=10)
     parser.add_argument("--reference-spp", type=int, default=4096)
@@ -64,7 +64,7 @@ def parse_arguments():
                         help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.quick:
-        arguments.rounds, arguments.reference_spp, arguments.spp = 4, 1024, [64]
+        arguments.rounds, arguments.reference_spp, arguments.error = 4, 1024, [0.2]
         arguments.variants = ("llvm_ad_mono", "llvm_ad_mono_polarized")
     return arguments
 
@@ -205,10 +205,9 @@ class Peer:
         self.process.wait()
 
 
-def run_opaline(arguments, scene, spp, repeats, seed, more=()):
-    command = [arguments.opaline, "bench", "render", "--scenes", scene, "--size", str(arguments.size), "--spp", str(spp),
-               "--repeats", str(repeats), "--seed", str(seed), "--threads", str(arguments.threads), "--no-savings", "--json",
-               *more]
+def run_opaline(arguments, scene, repeats, seed, *more):
+    command = [arguments.opaline, "bench", "render", "--scenes", scene, "--size", str(arguments.size), "--repeats", str(repeats),
+               "--seed", str(seed), "--threads", str(arguments.threads), "--no-savings", "--json", *more]
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=True)
     return json.loads(done.stdout)["scenes"][0]["points"][0]
 
@@ -271,10 +270,10 @@ def compare(arguments, folder, name, variant, integrator):
     peer = Peer(arguments, scene, variant, integrator, arguments.peer_spp)
     if peer.error:
         sys.exit(f"{peer.name}: {peer.error}")
-    ours = {spp: [] for spp in arguments.spp}
+    ours = {error: [] for error in arguments.error}
     for r in range(arguments.rounds):
-        for spp in arguments.spp:
-            ours[spp].append(run_opaline(arguments, name, spp, 2, 100 + r))
+        for error in arguments.error:
+            ours[error].append(run_opaline(arguments, name, 2, 100 + r, "--error", str(error), "--reference", "256"))
         peer.render(1 + r)
         print(f"  {name}: round {r + 1} of {arguments.rounds}", file=sys.stderr, flush=True)
     images = peer.images(folder)
@@ -284,12 +283,12 @@ def compare(arguments, folder, name, variant, integrator):
            "peer_mse_se": peer_error, "peer_cpu_s": peer.cost("cpu"), "peer_wall_s": peer.cost("wall"), "wanted": WANTED[name]}
     peer.close()
     rows = []
-    for spp, points in ours.items():
+    for wanted, points in ours.items():
         errors = [point["mse"]["S0"] for point in points]
         mse = statistics.mean(errors)
         cpu = statistics.median(point["cpu_s"] for point in points)
         wall = statistics.median(point["wall_s"] for point in points)
-        rows.append({**row, "spp": spp, "mse": mse, "mse_se": statistics.stdev(errors) / len(errors) ** 0.5, "cpu_s": cpu,
+        rows.append({**row, "error": wanted, "spp": round(points[0]["samples"]), "mse": mse, "mse_se": statistics.stdev(errors) / len(errors) ** 0.5, "cpu_s": cpu,
                      "wall_s": wall, "ratio_cpu": peer_mse * row["peer_cpu_s"] / (mse * cpu),
                      "ratio_wall": peer_mse * row["peer_wall_s"] / (mse * wall)})
     return rows
@@ -308,7 +307,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         print(f"scenes and references of {arguments.reference_spp} samples", flush=True)
         for name in SCENES:
-            run_opaline(arguments, name, arguments.reference_spp // 4, 1, 1, ["--export", folder])
+            run_opaline(arguments, name, 1, 1, "--spp", "4", "--reference", str(arguments.reference_spp), "--export", folder)
         print(f"Mitsuba on the scene '{SCENES[0]}', {arguments.threads} threads", flush=True)
         variant, integrator = choose(arguments, folder, pathlib.Path(folder) / f"{SCENES[0]}.json")
         print(f"{variant} {integrator} against opaline, {arguments.rounds} rounds", flush=True)
@@ -327,10 +326,10 @@ def main():
                 peer.close()
     print()
     print(f"S0, {arguments.size} x {arguments.size}, {arguments.threads} threads, medians; ratio = time of Mitsuba / time of opaline at equal error")
-    print("| scene | opaline samples | MSE | CPU s | wall s | Mitsuba samples | MSE | CPU s | wall s | ratio (CPU) | ratio (wall) | wanted |")
-    print("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    print("| scene | error asked | opaline samples | MSE | CPU s | wall s | Mitsuba samples | MSE | CPU s | wall s | ratio (CPU) | ratio (wall) | wanted |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for r in rows:
-        print(f"| {r['scene']} | {r['spp']} | {r['mse']:.3e} +- {r['mse_se']:.0e} | {r['cpu_s']:.3f} | {r['wall_s']:.3f} | {r['peer_spp']} | "
+        print(f"| {r['scene']} | {r['error']} | {r['spp']} | {r['mse']:.3e} +- {r['mse_se']:.0e} | {r['cpu_s']:.3f} | {r['wall_s']:.3f} | {r['peer_spp']} | "
               f"{r['peer_mse']:.3e} +- {r['peer_mse_se']:.0e} | {r['peer_cpu_s']:.3f} | {r['peer_wall_s']:.3f} | {r['ratio_cpu']:.2f} | "
               f"{r['ratio_wall']:.2f} | {r['wanted']:.0f} |")
     if arguments.json:

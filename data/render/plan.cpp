@@ -18,7 +18,7 @@ using Variances = std::array<double, kPixelParts>;
 Variances in_units(const PixelPilot& pilot, double light, const PlanOptions& options) {
   Variances v{};
   const double s0 = 1.0 / std::max(options.error * light * options.error * light, 1e-300);
-  const double dop = 1.0 / (options.dop_error * options.dop_error);
+  const double dop = options.dop_error > 0.0 ? 1.0 / (options.dop_error * options.dop_error) : 0.0;
   for (size_t p = 0; p < kPixelParts; ++p) v[p] = std::max(pilot.s0[p] * s0, pilot.dop[p] * dop);
   return v;
 }

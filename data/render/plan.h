@@ -27,7 +27,7 @@ using PartCounts = std::array<int64_t, kPixelParts>;
 
 struct PlanOptions {
   double error = 0.03;  ///< wanted root-mean-square error of S0 over the object, relative to its mean there
-  double dop_error = 0.003;
+  double dop_error = 0.0;  ///< the same of the degree of polarisation, absolute; 0: any
   std::array<double, kPixelParts> cost = {1.0, 1.0, 1.0};  ///< of one sample
   PartCounts least = {4, 4, 4};
   int64_t most = 1 << 16;

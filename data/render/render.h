@@ -53,9 +53,9 @@ struct RenderOptions {
   /// Over 0: instead of `spp`, as many samples as bring the standard error of S0 over the object, root mean
   /// square over its pixels, to this share of its mean there (light over white, S0 = 2, counts as white).
   double error = 0.0;
-  double dop_error = 0.003;  ///< .. and the standard error of the degree of polarisation to this
-  int64_t pilot = 16;        ///< samples a pixel that `error` is planned from
-  int64_t most = 1 << 16;    ///< samples of a part of a pixel
+  double dop_error = 0.0;  ///< over 0: .. and that of the degree of polarisation to this
+  int64_t pilot = 16;      ///< samples a pixel that `error` is planned from
+  int64_t most = 1 << 16;  ///< samples of a part of a pixel
   BsdfReading bsdf = BsdfReading::kClear;
   /// Light sub-paths of the guide; 0: about as many as camera paths, up to what a cell can make use of.
   int64_t photons = 0;

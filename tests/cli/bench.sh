@@ -8,12 +8,14 @@ trap 'rm -rf "$folder"' EXIT
 fail() { echo "$*" >&2; exit 1; }
 expect() { grep -q -- "$2" "$1" || { cat "$1" >&2; fail "expected '$2'"; }; }
 
-"$opaline" bench render --size 16 --spp 4,16 --repeats 2 --plot "$folder/chart.svg" --export "$folder/scenes" \
+"$opaline" bench render --size 16 --spp 4,16 --error 0.5 --repeats 2 --reference 64 --plot "$folder/chart.svg" --export "$folder/scenes" \
   >"$folder/table.txt" 2>"$folder/progress.txt"
 for scene in uniform flash room dense clear contrast contrast-uniform; do expect "$folder/table.txt" "^$scene: "; done
 expect "$folder/table.txt" 'samples .*MSE S0 .*MSE S1 .*MSE S2 .*MSE S0 clipped'
 expect "$folder/table.txt" 'slope of log MSE over log CPU time'
-expect "$folder/table.txt" 'guide on / off at 16: efficiency  S0 x'
+for saving in 'guide' 'counts by part' 'counts by pixel' 'shared paths' 'bounded queries' 'even samples'; do
+  expect "$folder/table.txt" "$saving on / off at error 0.5: efficiency  S0 x"
+done
 expect "$folder/table.txt" '^room of contrast 1e5 over uniform light'
 expect "$folder/chart.svg" 'slope -1'
 python3 - "$folder" <<'PYTHON'
