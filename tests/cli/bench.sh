@@ -50,3 +50,16 @@ status=0
 "$opaline" bench render --scenes nowhere 2>"$folder/error.txt" || status=$?
 [[ $status -eq 2 ]] || fail "an unknown scene gave exit code $status"
 expect "$folder/error.txt" "no scene is called 'nowhere'; there are uniform"
+
+printf '[render]\ntrain = 4\nsize = 16\nspp = 4\nphotons = 500\n' > "$folder/noise.toml"
+"$opaline" bench noise "$folder/noise.toml" --scenes 2 > "$folder/noise.txt"
+expect "$folder/noise.txt" 'root mean square over scenes: S0 .* %, DoP 0\.'
+for spp in 4 64; do
+  "$opaline" bench noise "$folder/noise.toml" --scenes 2 --json --set render.spp=$spp > "$folder/noise$spp.json"
+done
+python3 - "$folder" <<'PYTHON'
+import json, pathlib, sys
+few, many = (json.loads((pathlib.Path(sys.argv[1]) / f"noise{spp}.json").read_text()) for spp in (4, 64))
+assert len(few["scenes"]) == 2 and few["scenes"][0]["pixels"] > 0, few
+assert 0 < many["error"] < 0.7 * few["error"], (few["error"], many["error"])
+PYTHON
