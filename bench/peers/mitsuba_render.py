@@ -15,9 +15,9 @@ unlimited depth and its default roulette, independent samples.
      one of the highest efficiency, polarised or not, goes on.
   3. The two alternate, one render each a round, on the same number of threads. Efficiency is 1 / (MSE x CPU time of
      the process); the ratio of two efficiencies is the ratio of times at equal error, since both errors fall as 1 /
-     samples. Mitsuba's MSE is its renders' own variance (no reference of ours comes in), ours is against our
-     reference, whose variance is subtracted; Mitsuba's kernels are compiled before the clock starts, our guide is
-     built while it runs.
+     samples. opaline plans its samples for an error of S0; building its guide and its pilot samples count, and
+     Mitsuba's kernels are compiled before the clock starts. Mitsuba's MSE is its renders' own variance (nothing of
+     ours comes in), ours is against our reference, whose variance is subtracted.
   4. Mitsuba's mean over all rounds is compared with our reference: the mean difference, and the mean square
      difference over what the noise of both explains (1 where the images agree).
 
@@ -206,8 +206,9 @@ class Peer:
 
 
 def run_opaline(arguments, scene, repeats, seed, *more):
-    command = [arguments.opaline, "bench", "render", "--scenes", scene, "--size", str(arguments.size), "--repeats", str(repeats),
-               "--seed", str(seed), "--threads", str(arguments.threads), "--no-savings", "--json", *more]
+    command = [arguments.opaline, "bench", "render", "--scenes", scene, "--size", str(arguments.size),
+               "--repeats", str(repeats), "--seed", str(seed), "--threads", str(arguments.threads),
+               "--no-savings", "--json", *more]
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=True)
     return json.loads(done.stdout)["scenes"][0]["points"][0]
 
@@ -229,7 +230,8 @@ def choose(arguments, folder, scene):
     for variant in arguments.variants:
         for integrator in arguments.integrators:
             # Scalar variants are slow, and their figure does not depend on the samples.
-            peer = Peer(arguments, scene, variant, integrator, 16 if variant.startswith("scalar") else arguments.peer_spp)
+            spp = 16 if variant.startswith("scalar") else arguments.peer_spp
+            peer = Peer(arguments, scene, variant, integrator, spp)
             if peer.error:
                 print(f"  {peer.name:<40} cannot run: {peer.error}", flush=True)
                 continue
@@ -257,9 +259,10 @@ def report_agreement(name, images, reference):
         peer = images[..., i].reshape(len(images), -1)[:, covered]
         noise = np.array(reference[f"S{i}"]["variance"])[covered] + peer.var(axis=0, ddof=1) / len(peer)
         difference = peer.mean(axis=0) - ours
-        print(f"  {name} S{i}: mean {peer.mean():.5f}, ours {ours.mean():.5f}, difference {difference.mean():+.5f} +- "
-              f"{np.sqrt(noise.sum()) / len(ours):.5f}; mean square difference / noise {(difference ** 2).mean() / noise.mean():.2f}",
-              flush=True)
+        error = np.sqrt(noise.sum()) / len(ours)
+        square = (difference ** 2).mean() / noise.mean()
+        print(f"  {name} S{i}: mean {peer.mean():.5f}, ours {ours.mean():.5f}, difference {difference.mean():+.5f} "
+              f"+- {error:.5f}; mean square difference / noise {square:.2f}", flush=True)
 
 
 def compare(arguments, folder, name, variant, integrator):
@@ -280,18 +283,35 @@ def compare(arguments, folder, name, variant, integrator):
     report_agreement(name, images, reference)
     peer_mse, peer_error = variance_of(images[..., 0].reshape(arguments.rounds, -1), covered)
     row = {"scene": name, "peer": peer.name, "peer_spp": arguments.peer_spp, "peer_mse": peer_mse,
-           "peer_mse_se": peer_error, "peer_cpu_s": peer.cost("cpu"), "peer_wall_s": peer.cost("wall"), "wanted": WANTED[name]}
+           "peer_mse_se": peer_error, "peer_cpu_s": peer.cost("cpu"), "peer_wall_s": peer.cost("wall"),
+           "wanted": WANTED[name]}
     peer.close()
     rows = []
     for wanted, points in ours.items():
-        errors = [point["mse"]["S0"] for point in points]
-        mse = statistics.mean(errors)
+        mses = [point["mse"]["S0"] for point in points]
+        mse = statistics.mean(mses)
         cpu = statistics.median(point["cpu_s"] for point in points)
         wall = statistics.median(point["wall_s"] for point in points)
-        rows.append({**row, "error": wanted, "spp": round(points[0]["samples"]), "mse": mse, "mse_se": statistics.stdev(errors) / len(errors) ** 0.5, "cpu_s": cpu,
-                     "wall_s": wall, "ratio_cpu": peer_mse * row["peer_cpu_s"] / (mse * cpu),
+        spread = statistics.stdev(mses) / len(mses) ** 0.5 if len(mses) > 1 else float("nan")
+        rows.append({**row, "error": wanted, "paths": statistics.mean(point["samples"] for point in points), "mse": mse,
+                     "mse_se": spread, "cpu_s": cpu, "wall_s": wall,
+                     "ratio_cpu": peer_mse * row["peer_cpu_s"] / (mse * cpu),
                      "ratio_wall": peer_mse * row["peer_wall_s"] / (mse * wall)})
     return rows
+
+
+def print_table(arguments, rows):
+    print(f"\nS0, {arguments.size} x {arguments.size}, {arguments.threads} threads, medians; ratio = time of Mitsuba / "
+          "time of opaline at equal error\n")
+    columns = ["scene", "error asked", "paths", "MSE", "CPU s", "wall s", "Mitsuba samples", "MSE", "CPU s", "wall s",
+               "ratio (CPU)", "ratio (wall)", "wanted"]
+    print("| " + " | ".join(columns) + " |\n|---|" + "---:|" * (len(columns) - 1))
+    for r in rows:
+        cells = [r["scene"], f"{r['error']}", f"{r['paths']:.0f}", f"{r['mse']:.2e} +- {r['mse_se']:.0e}",
+                 f"{r['cpu_s']:.3f}", f"{r['wall_s']:.3f}", f"{r['peer_spp']}",
+                 f"{r['peer_mse']:.2e} +- {r['peer_mse_se']:.0e}", f"{r['peer_cpu_s']:.3f}",
+                 f"{r['peer_wall_s']:.3f}", f"{r['ratio_cpu']:.2f}", f"{r['ratio_wall']:.2f}", f"{r['wanted']:.0f}"]
+        print("| " + " | ".join(cells) + " |")
 
 
 def main():
@@ -307,7 +327,8 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         print(f"scenes and references of {arguments.reference_spp} samples", flush=True)
         for name in SCENES:
-            run_opaline(arguments, name, 1, 1, "--spp", "4", "--reference", str(arguments.reference_spp), "--export", folder)
+            run_opaline(arguments, name, 1, 1, "--spp", "4", "--reference", str(arguments.reference_spp), "--export",
+                        folder)
         print(f"Mitsuba on the scene '{SCENES[0]}', {arguments.threads} threads", flush=True)
         variant, integrator = choose(arguments, folder, pathlib.Path(folder) / f"{SCENES[0]}.json")
         print(f"{variant} {integrator} against opaline, {arguments.rounds} rounds", flush=True)
@@ -322,16 +343,10 @@ def main():
             else:
                 for r in range(arguments.rounds):
                     peer.render(1 + r)
-                report_agreement("uniform", peer.images(folder), json.loads((pathlib.Path(folder) / "uniform.json").read_text())["reference"])
+                scene = json.loads((pathlib.Path(folder) / "uniform.json").read_text())
+                report_agreement("uniform", peer.images(folder), scene["reference"])
                 peer.close()
-    print()
-    print(f"S0, {arguments.size} x {arguments.size}, {arguments.threads} threads, medians; ratio = time of Mitsuba / time of opaline at equal error")
-    print("| scene | error asked | opaline samples | MSE | CPU s | wall s | Mitsuba samples | MSE | CPU s | wall s | ratio (CPU) | ratio (wall) | wanted |")
-    print("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
-    for r in rows:
-        print(f"| {r['scene']} | {r['error']} | {r['spp']} | {r['mse']:.3e} +- {r['mse_se']:.0e} | {r['cpu_s']:.3f} | {r['wall_s']:.3f} | {r['peer_spp']} | "
-              f"{r['peer_mse']:.3e} +- {r['peer_mse_se']:.0e} | {r['peer_cpu_s']:.3f} | {r['peer_wall_s']:.3f} | {r['ratio_cpu']:.2f} | "
-              f"{r['ratio_wall']:.2f} | {r['wanted']:.0f} |")
+    print_table(arguments, rows)
     if arguments.json:
         pathlib.Path(arguments.json).write_text(json.dumps(rows, indent=1) + "\n")
 
