@@ -231,6 +231,7 @@ std::string plot(const std::vector<SceneResult>& results) {
       series.push_back(
           {.name = std::string(kErrorNames[i]), .colour = kColours[i], .points = {}, .markers = true});
       for (const ErrorPoint& point : results[k].points) {
+        if (point.setting.options.error > 0.0) continue;  // another curve: it would cross this one
         series.back().points.push_back({point.cost.cpu, point.mse[i]});
       }
     }
