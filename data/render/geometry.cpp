@@ -203,10 +203,10 @@ Meeting Geometry::next(const Vec3& origin, const Vec3& direction, bool inside, d
 Meeting Geometry::first(const Vec3& origin, const Vec3& direction, Hit& hit) const {
   if (!intersect(origin, direction, kInfinity, hit)) return Meeting::kNothing;
   if (dot(direction, hit.normal) < 0.0) return Meeting::kSurface;
-  // At an edge the ray may touch the far one of two facets and miss the near one: a little farther out it
-  // meets neither.
-  if (Hit beside; intersect(origin + hit.normal * (4.0 * offset_), direction, kInfinity, beside) &&
-                  dot(direction, beside.normal) > 0.0) {
+  // A start inside sees facets from behind whichever way it looks. Outside it is rounding at an edge: the ray
+  // misses the near one of two facets and touches the far one.
+  if (Hit opposite;
+      intersect(origin, -direction, kInfinity, opposite) && dot(-direction, opposite.normal) > 0.0) {
     return Meeting::kLost;
   }
   return intersect_side(origin, direction, kInfinity, false, hit) ? Meeting::kSurface : Meeting::kNothing;

@@ -127,7 +127,7 @@ std::vector<StressCase> incidence_cases() {
                        .medium = {.sigma_t = grey(16), .albedo = grey(1), .g = 0.5},
                        .effort = angle > 89.95 ? 0.1 : 1.0,  // caught between faces for long
                        .incidence = angle,
-                       .lost_per_million = angle > 89.95 ? 1000.0 : 100.0});
+                       .lost_per_million = angle > 89.95 ? 1000.0 : 0.0});
     }
   }
   return cases;

@@ -69,6 +69,17 @@ TEST_CASE("points next to a facet are kept as far inside as rays start") {
   CHECK(geometry->keep_inside({0.3, 0, 0.5}, hit).z == 0.5);
 }
 
+TEST_CASE("a ray that rounding takes past an edge is outside") {
+  // It grazes the side x = 0.2 at 89 degrees, misses it by 2e-8 and touches the next side from behind.
+  const auto geometry = make_mesh_geometry(make_box({-0.2, -0.2, -0.2}, {0.2, 0.2, 0.2}));
+  const Vec3 origin{0.212091385, 0.435770885, 0.0785770072};
+  const Vec3 direction = normalised({-0.0174524064, -0.917656143, -0.396991961});
+  Hit hit;
+  REQUIRE(geometry->intersect(origin, direction, kInfinity, hit));
+  REQUIRE(dot(direction, hit.normal) > 0.0);
+  CHECK(geometry->first(origin, direction, hit) != Meeting::kLost);
+}
+
 TEST_CASE("a camera inside a body is noticed") {
   const auto geometry = make_mesh_geometry(touching_cubes());
   Hit hit;
