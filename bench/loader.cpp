@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "bench/clock.h"
+#include "core/clock.h"
 #include "core/error.h"
 #include "core/memory.h"
 #include "data/loader.h"

@@ -12,7 +12,7 @@
 #include <string>
 #include <vector>
 
-#include "bench/clock.h"
+#include "core/clock.h"
 #include "core/error.h"
 #include "data/encode.h"
 #include "data/scene_set.h"

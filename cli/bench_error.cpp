@@ -1,28 +1,16 @@
 #include "cli/bench_error.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
-#include <ctime>
 #include <limits>
+
+#include "core/clock.h"
 
 namespace opaline::cli {
 namespace {
 
 /// White, as networks see it: they clip there.
 constexpr double kWhite = 2.0;
-
-double process_seconds() {
-  timespec now{};
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
-}
-
-double median(std::vector<double> values) {
-  std::sort(values.begin(), values.end());
-  const size_t half = values.size() / 2;
-  return values.size() % 2 == 1 ? values[half] : 0.5 * (values[half - 1] + values[half]);
-}
 
 Errors compare(const render::SceneRender& image, const Reference& reference) {
   Errors errors;
@@ -119,12 +107,12 @@ ErrorPoint ErrorMeter::measure(const Reference& reference, const Setting& settin
   std::vector<double> cpu, wall;
   std::array<double, 4> sum{}, squares{};
   for (int64_t k = 0; k < setting.renders; ++k) {
-    const auto begin = std::chrono::steady_clock::now();
-    const double cpu_begin = process_seconds();
+    const double begin = wall_seconds();
+    const double cpu_begin = process_cpu_seconds();
     const render::SceneRender image = render(setting.options);
     samples += image.spp / static_cast<double>(setting.renders);
-    cpu.push_back(process_seconds() - cpu_begin);
-    wall.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    cpu.push_back(process_cpu_seconds() - cpu_begin);
+    wall.push_back(wall_seconds() - begin);
     const std::array<double, 4> errors = compare(image, reference).all();
     for (size_t i = 0; i < errors.size(); ++i) {
       sum[i] += errors[i];

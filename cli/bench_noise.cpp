@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <ctime>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -11,6 +10,7 @@
 #include <vector>
 
 #include "cli/bench.h"
+#include "core/clock.h"
 #include "core/error.h"
 #include "core/parallel.h"
 #include "train/config.h"
@@ -62,12 +62,6 @@ Noise noise_between(const render::SceneRender& a, const render::SceneRender& b) 
   return noise;
 }
 
-double process_seconds() {
-  timespec t{};
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
-  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
-}
-
 void run_bench_noise(const Arguments& a) {
   const GenerateConfig config = load_run_config(a.config, a.set).render;
   if (config.assets.any())
@@ -78,11 +72,11 @@ void run_bench_noise(const Arguments& a) {
   if (!a.json) fmt::print("scene  pixels  paths a pixel  error of S0  of DoP  CPU s  object\n");
   int64_t measured = 0;
   for (uint32_t number = 0; measured < a.scenes; ++number) {
-    const double begin = process_seconds();
+    const double begin = process_cpu_seconds();
     const render::SceneModel scene = render::draw_scene(config.ranges, config.camera, config.seed, number);
     if (!render::likely_well_framed(scene, config.camera)) continue;  // would be drawn again
     ++measured;
-    const double drawn = process_seconds();
+    const double drawn = process_cpu_seconds();
     std::array<render::SceneRender, 2> renders;
     for (size_t i = 0; i < 2; ++i) {
       renders[i] = render_scene(scene, config.camera,
@@ -94,7 +88,7 @@ void run_bench_noise(const Arguments& a) {
                                  .seed = config.seed + i,
                                  .number = number});
     }
-    const double cpu = drawn - begin + 0.5 * (process_seconds() - drawn);
+    const double cpu = drawn - begin + 0.5 * (process_cpu_seconds() - drawn);
     const Noise noise = noise_between(renders[0], renders[1]);
     s0 += noise.s0 * noise.s0;
     dop += noise.dop * noise.dop;

@@ -1,7 +1,6 @@
 // `opaline bench step`: time, work and memory of one training step or forward pass.
 #include <algorithm>
 #include <charconv>
-#include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <memory>
@@ -12,6 +11,7 @@
 
 #include "cli/bench.h"
 #include "core/autograd.h"
+#include "core/clock.h"
 #include "core/error.h"
 #include "core/memory.h"
 #include "core/random.h"
@@ -182,29 +182,27 @@ void run_bench_step(const BenchArguments& arguments) {
 
   std::vector<double> seconds;
   for (int64_t i = 0; i < arguments.repeats; ++i) {
-    const auto begin = std::chrono::steady_clock::now();
+    const double begin = wall_seconds();
     if (arguments.forward_only) {
       const NoGradGuard no_grad;
       step->forward();
     } else {
       step->go_backward(step->forward());
     }
-    seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    seconds.push_back(wall_seconds() - begin);
     step->zero_grad();
   }
-  std::nth_element(seconds.begin(), seconds.begin() + static_cast<std::ptrdiff_t>(seconds.size() / 2),
-                   seconds.end());
-  const double median = seconds[seconds.size() / 2];
+  const double middle = median(seconds);
   const int64_t macs = work.forward + (arguments.forward_only ? 0 : work.backward);
-  const double gflops = 2e-9 * static_cast<double>(macs) / median;
+  const double gflops = 2e-9 * static_cast<double>(macs) / middle;
   const int64_t peak = tensor_pool().peak_bytes();
   if (arguments.json) {
-    const nlohmann::ordered_json json = {{"seconds", median}, {"gflops", gflops}, {"peak_bytes", peak}};
+    const nlohmann::ordered_json json = {{"seconds", middle}, {"gflops", gflops}, {"peak_bytes", peak}};
     fmt::print("{}\n", json.dump());
   } else {
     fmt::print("{} {}, {} x {} x {}: {:.4g} s, {:.4g} GFLOP/s ({:.4g} GMAC), peak {:.4g} MiB\n",
                arguments.net, arguments.forward_only ? "forward" : "forward and backward", arguments.batch,
-               arguments.size, arguments.size, median, gflops, 1e-9 * static_cast<double>(macs),
+               arguments.size, arguments.size, middle, gflops, 1e-9 * static_cast<double>(macs),
                static_cast<double>(peak) / (1 << 20));
   }
 }

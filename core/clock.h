@@ -1,4 +1,4 @@
-// Clocks and counters of the benchmarks.
+// Clocks and counters for benchmarks.
 #pragma once
 
 #include <time.h>
@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-namespace opaline::bench {
+namespace opaline {
 
 inline double read_clock(clockid_t clock) {
   timespec now{};
@@ -45,4 +45,4 @@ inline double median(std::vector<double> values) {
   return *middle;
 }
 
-}  // namespace opaline::bench
+}  // namespace opaline
