@@ -32,9 +32,10 @@ Errors compare(const render::SceneRender& image, const Reference& reference) {
 }
 
 using Options = render::RenderOptions;
-constexpr std::array<Saving, 8> kSavings = {{
+constexpr std::array<Saving, 9> kSavings = {{
     {"guide", [](Options& o) { o.savings.guide = false; }},
     {"guide by need", [](Options& o) { o.savings.guide_by_need = false; }},
+    {"light paths", [](Options& o) { o.savings.light_paths = false; }},
     {"counts by part", [](Options& o) { o.savings.parts = false; }},
     {"counts by pixel", [](Options& o) { o.savings.pixels = false; }},
     {"shared paths", [](Options& o) { o.savings.shared_paths = false; }},

@@ -56,10 +56,21 @@ class MeshGeometry final : public Geometry {
     check("scene");
   }
 
+  const Mesh* mesh() const override { return &mesh_; }
+
   bool intersect(const Vec3& origin, const Vec3& direction, double limit, Hit& hit) const override {
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     return query(origin, direction, limit, context, hit);
+  }
+
+  bool occluded(const Vec3& origin, const Vec3& direction, bool inside, double limit) const override {
+    SideContext context{.base = {}, .geometry = this, .direction = direction, .leaves = inside};
+    rtcInitIntersectContext(&context.base);
+    context.base.filter = &MeshGeometry::reject_other_side;
+    RTCRay ray = single_ray(origin, direction, limit);
+    rtcOccluded1(scene_.get(), &context.base, &ray);
+    return ray.tfar < 0.0F;
   }
 
  protected:
@@ -87,21 +98,27 @@ class MeshGeometry final : public Geometry {
     if (leaves != context->leaves) arguments->valid[0] = 0;
   }
 
+  static RTCRay single_ray(const Vec3& origin, const Vec3& direction, double limit) {
+    RTCRay ray;
+    ray.org_x = static_cast<float>(origin.x);
+    ray.org_y = static_cast<float>(origin.y);
+    ray.org_z = static_cast<float>(origin.z);
+    ray.dir_x = static_cast<float>(direction.x);
+    ray.dir_y = static_cast<float>(direction.y);
+    ray.dir_z = static_cast<float>(direction.z);
+    ray.tnear = 0.0F;
+    ray.tfar = static_cast<float>(limit);
+    ray.time = 0.0F;
+    ray.mask = ~0U;
+    ray.id = 0;
+    ray.flags = 0;
+    return ray;
+  }
+
   bool query(const Vec3& origin, const Vec3& direction, double limit, RTCIntersectContext& context,
              Hit& hit) const {
     RTCRayHit query;
-    query.ray.org_x = static_cast<float>(origin.x);
-    query.ray.org_y = static_cast<float>(origin.y);
-    query.ray.org_z = static_cast<float>(origin.z);
-    query.ray.dir_x = static_cast<float>(direction.x);
-    query.ray.dir_y = static_cast<float>(direction.y);
-    query.ray.dir_z = static_cast<float>(direction.z);
-    query.ray.tnear = 0.0F;
-    query.ray.tfar = static_cast<float>(limit);
-    query.ray.time = 0.0F;
-    query.ray.mask = ~0U;
-    query.ray.id = 0;
-    query.ray.flags = 0;
+    query.ray = single_ray(origin, direction, limit);
     query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     rtcIntersect1(scene_.get(), &context, &query);
     if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
@@ -161,6 +178,11 @@ class SlabGeometry final : public Geometry {
     hit.position.z = face;
     hit.normal = {0.0, 0.0, face < 0.0 ? -1.0 : 1.0};
     return true;
+  }
+
+  bool occluded(const Vec3& origin, const Vec3& direction, bool inside, double limit) const override {
+    Hit hit;
+    return intersect_side(origin, direction, limit, inside, hit);
   }
 
  protected:

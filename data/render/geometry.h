@@ -24,6 +24,9 @@ class Geometry {
  public:
   virtual ~Geometry() = default;
 
+  /// The surface's facets; null where it has none.
+  virtual const Mesh* mesh() const { return nullptr; }
+
   /// Nearest surface point at a distance up to `limit` along the unit vector `direction`.
   virtual bool intersect(const Vec3& origin, const Vec3& direction, double limit, Hit& hit) const = 0;
 
@@ -35,6 +38,10 @@ class Geometry {
   /// point that it would have met (at distance 0 where that lies behind its start). kLost is what is left: a
   /// ray inside that meets nothing however far, or no way out.
   Meeting next(const Vec3& origin, const Vec3& direction, bool inside, double limit, Hit& hit) const;
+
+  /// Whether the surface is met within `limit` by a ray that is inside and would leave, or that is outside
+  /// and would enter: `next` without what it says of the hit, and quicker.
+  virtual bool occluded(const Vec3& origin, const Vec3& direction, bool inside, double limit) const = 0;
 
   /// Where a ray that leaves `hit` along `direction` starts: moved off the surface, to the side that it goes
   /// to, by a few units in the last place of the query's numbers, so that it does not meet the facet again.

@@ -4,7 +4,8 @@
 #include <cmath>
 #include <numbers>
 
-#include "data/render/path.h"
+#include "data/render/emitter.h"
+#include "data/render/walk.h"
 
 namespace opaline::render {
 namespace {
@@ -23,57 +24,6 @@ constexpr double kDark = 1e-2;
 constexpr double kFaintest = 1e-30;
 /// Bends the sides' coordinates: s = t (1 + c) / (1 + c |t|) for t in [-1, 1].
 constexpr double kWarp = 0.27;
-
-double mean(const Rgb& c) {
-  return (c[0] + c[1] + c[2]) / 3.0;
-}
-
-struct LightRay {
-  Vec3 origin;
-  Vec3 direction;
-};
-
-/// A ray of light towards the ball around the object, from the flash or the environment in proportion to what
-/// they send there.
-class Emitter {
- public:
-  Emitter(const Illumination& light, const Vec3& centre, double radius)
-      : light_(light), centre_(centre), radius_(radius) {
-    const double flash = light.flash.radiance > 0.0 ? light.flash.irradiance(centre) : 0.0;
-    const double environment = mean(light.environment.fluence());
-    dark_ = !(flash + environment > 0.0);
-    flash_share_ = dark_ ? 0.0 : flash / (flash + environment);
-  }
-
-  bool dark() const { return dark_; }
-
-  LightRay emit(Random& random) const {
-    if (random.uniform() < flash_share_) {
-      const Vec3 axis = normalised(light_.flash.centre - centre_);
-      const Vec3 from = light_.flash.centre + disc(axis, light_.flash.radius, random);
-      return {from, normalised(centre_ + disc(axis, radius_, random) - from)};
-    }
-    const Vec3 towards = light_.environment.sample(random);
-    return {centre_ + towards * (2.0 * radius_) + disc(towards, radius_, random), -towards};
-  }
-
- private:
-  static Vec3 disc(const Vec3& axis, double radius, Random& random) {
-    const Basis basis = basis_around(axis);
-    const double r = radius * std::sqrt(random.uniform()), angle = 2.0 * kPi * random.uniform();
-    return basis.first * (r * std::cos(angle)) + basis.second * (r * std::sin(angle));
-  }
-
-  const Illumination& light_;
-  Vec3 centre_;
-  double radius_;
-  double flash_share_ = 0.0;
-  bool dark_ = true;
-};
-
-}  // namespace
-
-namespace {
 
 constexpr int kSide = DirectionBins::kSide;
 constexpr int kPatch = DirectionBins::kPatch;
@@ -198,7 +148,10 @@ Guide::Guide(const World& world, const Illumination& light, const Vec3& low, con
   };
 
   for (int64_t photon = 0; photon < options.photons; ++photon) {
-    auto [origin, direction] = emitter.emit(random);
+    std::array<double, Emitter::kDimensions> u{};
+    for (double& x : u) x = random.uniform();
+    auto [origin, direction, flux] = emitter.emit(u);
+    if (!(largest(flux) > 0.0)) continue;
     bool inside = false;
     double length = 0.0;
     for (;;) {

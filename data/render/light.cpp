@@ -11,10 +11,6 @@ namespace {
 
 constexpr double kPi = std::numbers::pi;
 
-double brightness(const Rgb& c) {
-  return (c[0] + c[1] + c[2]) / 3.0;
-}
-
 // Row and column, in texels, of the point that looks along d; their centres are at halves.
 struct GridPoint {
   double row, column;
@@ -67,15 +63,27 @@ Environment::Environment(std::vector<Rgb> texels, int64_t width) : texels_(std::
 void Environment::accumulate() {
   cumulative_.clear();
   cumulative_.reserve(texels_.size());
+  const auto at = [this](int64_t row, int64_t column) {
+    return mean(texels_[static_cast<size_t>(std::clamp<int64_t>(row, 0, height_ - 1) * width_ +
+                                            (column + width_) % width_)]);
+  };
   double sum = 0.0;
   for (int64_t row = 0; row < height_; ++row) {
-    const double band = std::cos(kPi * static_cast<double>(row) / static_cast<double>(height_)) -
-                        std::cos(kPi * static_cast<double>(row + 1) / static_cast<double>(height_));
     for (int64_t column = 0; column < width_; ++column) {
-      sum += band * brightness(texels_[static_cast<size_t>(row * width_ + column)]);
+      // The texel's mean where it is read bilinearly: with an eighth of the neighbours on each side.
+      double brightness = 0.0;
+      for (int64_t i = -1; i <= 1; ++i)
+        for (int64_t j = -1; j <= 1; ++j)
+          brightness += (i == 0 ? 0.75 : 0.125) * (j == 0 ? 0.75 : 0.125) * at(row + i, column + j);
+      sum += band(row) * brightness;
       cumulative_.push_back(sum);
     }
   }
+}
+
+double Environment::band(int64_t row) const {
+  const double step = kPi / static_cast<double>(height_);
+  return std::cos(step * static_cast<double>(row)) - std::cos(step * static_cast<double>(row + 1));
 }
 
 Rgb Environment::radiance(const Vec3& d) const {
@@ -144,17 +152,26 @@ std::array<Harmonics, 3> Environment::project() const {
   return result;
 }
 
-Vec3 Environment::sample(Random& random) const {
-  const double wanted = random.uniform() * cumulative_.back();
+Vec3 Environment::sample(double pick, double u, double v) const {
+  const double wanted = pick * cumulative_.back();
   const auto found = std::upper_bound(cumulative_.begin(), cumulative_.end(), wanted);
   const int64_t index = std::min(static_cast<int64_t>(found - cumulative_.begin()),
                                  static_cast<int64_t>(cumulative_.size()) - 1);
   const double row = static_cast<double>(index / width_), column = static_cast<double>(index % width_);
   // Uniform in solid angle inside the texel: uniform in the cosine of the latitude.
   const double top = std::cos(kPi * row / static_cast<double>(height_));
-  const double bottom = std::cos(kPi * (row + 1.0) / static_cast<double>(height_));
-  const double latitude = std::acos(std::clamp(top + (bottom - top) * random.uniform(), -1.0, 1.0));
-  return from_grid(latitude / kPi * static_cast<double>(height_), column + random.uniform(), width_, height_);
+  const double latitude = std::acos(std::clamp(top - band(index / width_) * u, -1.0, 1.0));
+  return from_grid(latitude / kPi * static_cast<double>(height_), column + v, width_, height_);
+}
+
+double Environment::density(const Vec3& d) const {
+  if (!(cumulative_.back() > 0.0)) return 0.0;
+  const GridPoint p = to_grid(d, width_, height_);
+  const int64_t row = std::clamp(static_cast<int64_t>(p.row), int64_t{0}, height_ - 1);
+  const int64_t column = std::clamp(static_cast<int64_t>(p.column), int64_t{0}, width_ - 1);
+  const auto index = static_cast<size_t>(row * width_ + column);
+  const double share = cumulative_[index] - (index > 0 ? cumulative_[index - 1] : 0.0);
+  return share / cumulative_.back() * static_cast<double>(width_) / (2.0 * kPi * band(row));
 }
 
 void Environment::scale(double factor) {

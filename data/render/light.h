@@ -35,8 +35,11 @@ class Environment {
   Rgb irradiance(const Vec3& n) const;
   /// Coefficients of the radiance, colour by colour.
   std::array<Harmonics, 3> project() const;
-  /// A direction to the light, about proportional to its brightness (the texel's, uniform inside of it).
-  Vec3 sample(Random& random) const;
+  /// A direction to the light, about proportional to its brightness (the texel's mean, uniform inside of it),
+  /// from three numbers in [0, 1). Needs light.
+  Vec3 sample(double pick, double u, double v) const;
+  /// Density of that, per steradian; 0 only where all is dark.
+  double density(const Vec3& d) const;
 
   void scale(double factor);
   /// Turns it around the vertical axis by this share of a whole turn, rounded to columns.
@@ -44,6 +47,8 @@ class Environment {
 
  private:
   void accumulate();
+  /// Height of a row's part of the unit sphere.
+  double band(int64_t row) const;
   // Sum over sub-texel points of f(direction, radiance, solid angle).
   template <class F>
   void integrate(const F& f) const;

@@ -4,53 +4,20 @@
 #include <cmath>
 #include <numbers>
 
-#include "data/render/mueller.h"
-
 namespace opaline::render {
 namespace {
 
-struct Ray {
-  Vec3 origin;
-  Vec3 direction;
-  bool inside = false;
-  int flights = 0;  // inside, since the ray left the surface
-};
-
-struct Crossing {
-  Fresnel fresnel;
-  double eta;  // index behind / index before
-};
-
-enum class End { kEscaped, kScattered, kLost, kStopped };
-
-/// After so many surface events a path goes on with this probability only: a ray may be caught between
-/// totally reflecting faces. Nearly all find a way out within a thousand; earlier roulette would cost far
-/// more noise than it saves time.
-constexpr int kSureEvents = 1000;
-constexpr double kGoOn = 0.9;
-/// One flight in so many looks for the surface beyond its end, to see that it is still inside.
-constexpr int kSureFlights = 64;
 /// Share of the pixel's light that an unscattered branch has to carry to be followed for sure.
 constexpr double kSplit = 0.004;
 /// Paths of less throughput than this are thinned out.
 constexpr double kThin = 0.2;
 /// Light that finds its way out to a scattering is thinned out where less than this of it comes through.
 constexpr double kDark = 0.05;
-
-double largest(const Rgb& c) {
-  return std::max({c[0], c[1], c[2]});
-}
+/// Ways of the camera's ray inside are thinned out where less than this of a pixel's light comes along them.
+constexpr double kFaint = 0.1;
 
 double sum(const Rgb& c) {
   return c[0] + c[1] + c[2];
-}
-
-/// Of unpolarised light that a scattering sends on.
-Response<1> scalar_response(const Vec3& direction) {
-  Response<1> response;
-  response.pure[0] = response.scattered[0] = {1.0, 0.0, 0.0, 0.0};
-  response.axis = basis_around(direction).first;
-  return response;
 }
 
 /// sum += rows x light, for unpolarised light.
@@ -64,127 +31,36 @@ Rgb first_column(const std::array<Stokes, 3>& rows) {
   return {rows[0][0], rows[1][0], rows[2][0]};
 }
 
-Rgb product(const Rgb& a, const Rgb& b) {
-  return {a[0] * b[0], a[1] * b[1], a[2] * b[2]};
-}
-
-Rgb scaled(const Rgb& a, double s) {
-  return {a[0] * s, a[1] * s, a[2] * s};
-}
-
 /// A walker through one world; it exists for the length of one camera sample.
 class Walker {
  public:
   Walker(const World& world, Random& random, PathFaults& faults)
-      : world_(world), random_(random), faults_(faults) {}
+      : world_(world), random_(random), faults_(faults), walk_(world, random) {}
 
   PathSample run(const CameraRay& camera, const PathParts& parts, const FirstNumbers& first);
 
  private:
-  Crossing meet(const Hit& hit, const Ray& ray) const;
-  template <int R>
-  void branch(const Hit& hit, const Crossing& crossing, bool reflects, double probability, Ray& ray,
-              Response<R>& response) const;
-  template <int R>
-  void cross(const Hit& hit, Ray& ray, Response<R>& response);
-  Meeting next(const Ray& ray, double limit, Hit& hit) const {
-    return world_.geometry->next(ray.origin, ray.direction, ray.inside, limit, hit);
-  }
-  template <int R>
-  End fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FirstNumbers* first = nullptr);
   End follow(Ray& ray, Response<1>& response, double& length, double& weight);
   double phase_share(double phase, double density, const Rgb& beta, double length) const;
   void add_unscattered(Ray ray, Response<3> response, double length, double carried, StokesRgb& sum,
                        StokesRgb& clear);
-  void add_scattered(Ray ray, Response<3> response, const FirstNumbers& first, StokesRgb& sum);
+  void add_scattered(Ray ray, Response<3> response, Rgb beta, const FirstNumbers& first, StokesRgb& sum);
+  void add_indirect(Ray ray, const Response<3>& response, const FirstNumbers& first, StokesRgb& sum);
   void connect(const Vec3& position, const Vec3& direction, const Guide::Directions& guided, const Rgb& beta,
                const Rgb& rows, double pick, StokesRgb& sum);
 
   const World& world_;
   Random& random_;
   PathFaults& faults_;
+  Walk walk_;
 };
-
-/// What the interface at `hit` does to the ray.
-Crossing Walker::meet(const Hit& hit, const Ray& ray) const {
-  const double eta = ray.inside ? 1.0 / world_.index : world_.index;
-  return {fresnel(std::abs(dot(ray.direction, hit.normal)), eta), eta};
-}
-
-/// Sends the ray along one of the two branches, chosen with this probability.
-template <int R>
-void Walker::branch(const Hit& hit, const Crossing& crossing, bool reflects, double probability, Ray& ray,
-                    Response<R>& response) const {
-  const SurfaceEvent event{.direction = ray.direction,
-                           .normal = hit.normal,
-                           .fresnel = crossing.fresnel,
-                           .weight = 1.0 / probability,
-                           .inside = ray.inside};
-  if (reflects) {
-    response.reflect(event);
-    ray.direction = reflect(ray.direction, hit.normal);
-  } else {
-    response.transmit(event);
-    const Vec3 facing = dot(ray.direction, hit.normal) < 0.0 ? hit.normal : -hit.normal;
-    ray.direction = refract(ray.direction, facing, crossing.fresnel, crossing.eta);
-    ray.inside = !ray.inside;
-  }
-  ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
-  ray.flights = 0;
-}
-
-/// Reflects or refracts the ray, with the probability of unpolarised light.
-template <int R>
-void Walker::cross(const Hit& hit, Ray& ray, Response<R>& response) {
-  const Crossing crossing = meet(hit, ray);
-  const double reflectance = crossing.fresnel.reflectance();
-  const bool reflects = crossing.fresnel.total || random_.uniform() < reflectance;
-  branch(hit, crossing, reflects, reflects ? reflectance : 1.0 - reflectance, ray, response);
-}
-
-/// Moves the ray, which the medium may scatter, until it is scattered or leaves the scene. `length` gets what
-/// lies inside up to the last surface.
-template <int R>
-End Walker::fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FirstNumbers* first) {
-  for (int events = 0;; ++events) {
-    Hit hit;
-    if (ray.inside) {
-      const SpectralFlight flight(world_.medium, beta);
-      const double choose = first != nullptr ? first->channel : random_.uniform();
-      const double distance = flight.sample(choose, first != nullptr ? first->distance : random_.uniform());
-      first = nullptr;
-      // Without a margin nothing is rounded, and a half-space has no far side to be seen.
-      const double margin = world_.geometry->margin();
-      const bool sure = margin > 0.0 && ray.flights++ % kSureFlights == 0;
-      const bool unbounded = sure || !world_.bounded_queries;
-      const Meeting meeting = next(ray, unbounded ? kInfinity : distance + margin, hit);
-      if (meeting == Meeting::kLost) return End::kLost;
-      if (meeting == Meeting::kNothing || hit.distance > distance) {
-        if (!std::isfinite(distance)) return End::kLost;
-        flight.collide(distance, beta);
-        ray.origin = ray.origin + ray.direction * distance;
-        if (meeting == Meeting::kSurface) ray.origin = world_.geometry->keep_inside(ray.origin, hit);
-        return End::kScattered;
-      }
-      flight.arrive(hit.distance, beta);
-      length += hit.distance;
-    } else if (const Meeting meeting = next(ray, kInfinity, hit); meeting != Meeting::kSurface) {
-      return meeting == Meeting::kLost ? End::kLost : End::kEscaped;
-    }
-    if (events >= kSureEvents) {
-      if (random_.uniform() >= kGoOn) return End::kStopped;
-      beta = scaled(beta, 1.0 / kGoOn);
-    }
-    cross(hit, ray, response);
-  }
-}
 
 /// Moves the ray, which nothing scatters, until it leaves the scene. `length` gets what lies inside, `weight`
 /// the roulette's factor; where the transmittance falls under kDark, roulette follows it.
 End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weight) {
   for (int events = 0;; ++events) {
     Hit hit;
-    const Meeting meeting = next(ray, kInfinity, hit);
+    const Meeting meeting = walk_.next(ray, kInfinity, hit);
     if (meeting != Meeting::kSurface) return meeting == Meeting::kLost ? End::kLost : End::kEscaped;
     if (ray.inside) length += hit.distance;
     const double sure = events >= kSureEvents ? kGoOn : 1.0;
@@ -193,7 +69,7 @@ End Walker::follow(Ray& ray, Response<1>& response, double& length, double& weig
       if (!(random_.uniform() < go_on)) return End::kStopped;
       weight /= go_on;
     }
-    cross(hit, ray, response);
+    walk_.cross(hit, ray, response);
   }
 }
 
@@ -218,7 +94,7 @@ void Walker::add_unscattered(Ray ray, Response<3> response, double length, doubl
   double weight = 1.0;
   for (int events = 0;; ++events) {
     Hit hit;
-    const Meeting meeting = next(ray, kInfinity, hit);
+    const Meeting meeting = walk_.next(ray, kInfinity, hit);
     if (meeting == Meeting::kLost) {
       ++faults_.lost;
       return;
@@ -229,17 +105,17 @@ void Walker::add_unscattered(Ray ray, Response<3> response, double length, doubl
       if (random_.uniform() >= kGoOn) return;
       weight /= kGoOn;
     }
-    const Crossing crossing = meet(hit, ray);
+    const Crossing crossing = walk_.meet(hit, ray);
     const double reflectance = crossing.fresnel.reflectance();
     if (weight > 1.0 || carried * std::min(reflectance, 1.0 - reflectance) < kSplit) {
-      cross(hit, ray, response);
+      walk_.cross(hit, ray, response);
       continue;
     }
     Ray other = ray;
     Response<3> other_response = response;
-    branch(hit, crossing, true, 1.0, other, other_response);
+    walk_.branch(hit, crossing, true, 1.0, other, other_response);
     add_unscattered(other, other_response, length, carried * reflectance, sum, clear);
-    branch(hit, crossing, false, 1.0, ray, response);
+    walk_.branch(hit, crossing, false, 1.0, ray, response);
     carried *= 1.0 - reflectance;
   }
   const Rgb light = scaled(world_.light->radiance(ray.origin, ray.direction), weight);
@@ -265,10 +141,9 @@ void Walker::connect(const Vec3& position, const Vec3& direction, const Guide::D
 }
 
 /// Light that has scattered.
-void Walker::add_scattered(Ray ray, Response<3> camera, const FirstNumbers& first, StokesRgb& sum) {
-  Rgb beta{1.0, 1.0, 1.0};
+void Walker::add_scattered(Ray ray, Response<3> camera, Rgb beta, const FirstNumbers& first, StokesRgb& sum) {
   double length = 0.0;
-  End end = fly(ray, camera, beta, length, &first);
+  End end = walk_.fly(ray, camera, beta, length, &first);
   // Where the light comes out it is unpolarised: one number for each of the pixel's Stokes components.
   const Rgb rows = first_column(camera.scattered);
   for (bool first_scattering = true; end == End::kScattered; first_scattering = false) {
@@ -293,7 +168,7 @@ void Walker::add_scattered(Ray ray, Response<3> camera, const FirstNumbers& firs
     Response<1> response = scalar_response(direction);
     const Rgb before = beta;
     length = 0.0;
-    end = fly(ray, response, beta, length);
+    end = walk_.fly(ray, response, beta, length);
     if (end == End::kEscaped) {
       const double phase = henyey_greenstein(cosine, world_.medium.g);
       const double share = phase_share(phase, guided.density(direction), before, length);
@@ -303,6 +178,31 @@ void Walker::add_scattered(Ray ray, Response<3> camera, const FirstNumbers& firs
     beta = scaled(beta, response.scattered[0][0]);
   }
   if (end == End::kLost) ++faults_.lost;
+}
+
+/// The same without what scatters before the ray, which is inside, meets the surface. It is sure to get
+/// there, and both of what it may do there are followed, if there is something to be found: a ray that leaves
+/// may meet the body again.
+void Walker::add_indirect(Ray ray, const Response<3>& camera, const FirstNumbers& first, StokesRgb& sum) {
+  Hit hit;
+  const Meeting meeting = walk_.next(ray, kInfinity, hit);
+  if (meeting != Meeting::kSurface) {
+    faults_.lost += meeting == Meeting::kLost ? 1 : 0;
+    return;
+  }
+  const Rgb beta = world_.medium.transmittance(hit.distance);
+  const Crossing crossing = walk_.meet(hit, ray);
+  const double reflectance = crossing.fresnel.reflectance();
+  for (const bool reflects : {true, false}) {
+    const double carried = largest(beta) * (reflects ? reflectance : 1.0 - reflectance);
+    const double go_on = std::min(1.0, carried / kFaint);
+    if (!(random_.uniform() < go_on)) continue;
+    Ray branch = ray;
+    Response<3> response = camera;
+    walk_.branch(hit, crossing, reflects, go_on, branch, response);
+    if (!reflects && walk_.next(branch, kInfinity, hit) != Meeting::kSurface) continue;
+    add_scattered(branch, response, beta, first, sum);
+  }
 }
 
 PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const FirstNumbers& first) {
@@ -336,7 +236,7 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
   Ray ray{.origin = {}, .direction = reflect(camera.direction, hit.normal), .inside = false};
   ray.origin = world_.geometry->start(hit, ray.direction, ray.inside);
   Hit ahead;
-  if (next(ray, kInfinity, ahead) == Meeting::kNothing) {
+  if (walk_.next(ray, kInfinity, ahead) == Meeting::kNothing) {
     if (parts.mirror) {
       const Rgb light = world_.light->radiance(ray.origin, ray.direction);
       for (StokesRgb* part : {&sample.mirror, &sample.reflected, &sample.clear}) {
@@ -347,7 +247,7 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
     if (parts.unscattered) {
       add_unscattered(ray, mirrored, 0.0, f.reflectance(), sample.reflected, sample.clear);
     }
-    if (scatters) add_scattered(ray, mirrored, first, sample.scattered);
+    if (scatters) add_scattered(ray, mirrored, {1.0, 1.0, 1.0}, first, sample.scattered);
   }
 
   if (f.reflectance() < 1.0 && (parts.unscattered || scatters)) {
@@ -358,21 +258,13 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
     if (parts.unscattered) {
       add_unscattered(ray, refracted, 0.0, 1.0 - f.reflectance(), sample.unscattered, sample.clear);
     }
-    if (scatters) add_scattered(ray, refracted, first, sample.scattered);
+    if (scatters && parts.direct) add_scattered(ray, refracted, {1.0, 1.0, 1.0}, first, sample.scattered);
+    if (scatters && !parts.direct) add_indirect(ray, refracted, first, sample.scattered);
   }
   return sample;
 }
 
 }  // namespace
-
-Vec3 reflect(const Vec3& direction, const Vec3& normal) {
-  return normalised(direction - normal * (2.0 * dot(direction, normal)));
-}
-
-Vec3 refract(const Vec3& direction, const Vec3& normal, const Fresnel& f, double eta) {
-  const double cosine = -dot(direction, normal);
-  return normalised(direction * (1.0 / eta) + normal * (cosine / eta - f.cos_transmit));
-}
 
 PathSample sample_path(const World& world, const CameraRay& ray, Random& random, PathFaults& faults) {
   const FirstNumbers first{random.uniform(), random.uniform(), random.uniform()};

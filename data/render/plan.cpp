@@ -13,31 +13,36 @@ constexpr std::array<double, kPixelParts> kBelief = {0.9, 0.75, 0.75};
 
 using Variances = std::array<double, kPixelParts>;
 
-/// In units of the wanted errors, so that a sum of variance / count of 1 over the object's mean pixel is what
-/// is asked for.
-Variances in_units(const PixelPilot& pilot, double light, const PlanOptions& options) {
-  Variances v{};
-  const double s0 = 1.0 / std::max(options.error * light * options.error * light, 1e-300);
-  const double dop = options.dop_error > 0.0 ? 1.0 / (options.dop_error * options.dop_error) : 0.0;
-  for (size_t p = 0; p < kPixelParts; ++p) v[p] = std::max(pilot.s0[p] * s0, pilot.dop[p] * dop);
-  return v;
-}
+/// Variances in units of the wanted errors, so that a sum of variance / count of 1 over the object's mean
+/// pixel is what is asked for.
+struct Units {
+  double s0, dop;
+
+  Units(double light, const PlanOptions& options)
+      : s0(1.0 / std::max(options.error * light * options.error * light, 1e-300)),
+        dop(options.dop_error > 0.0 ? 1.0 / (options.dop_error * options.dop_error) : 0.0) {}
+
+  double operator()(double s0_variance, double dop_variance) const {
+    return std::max(s0_variance * s0, dop_variance * dop);
+  }
+};
 
 }  // namespace
 
-std::vector<PartCounts> plan_samples(const std::vector<PixelPilot>& pilots, int width, int height,
-                                     const PlanOptions& options) {
+SamplePlan plan_samples(const std::vector<PixelPilot>& pilots, int width, int height,
+                        const PlanOptions& options) {
   double light = 0.0, objects = 0.0;
   for (const PixelPilot& pilot : pilots) {
     if (!pilot.whole) continue;
     light += pilot.light;
     objects += 1.0;
   }
-  std::vector<PartCounts> counts(pilots.size(), PartCounts{});
+  SamplePlan plan{.pixels = std::vector<PartCounts>(pilots.size(), PartCounts{})};
+  std::vector<PartCounts>& counts = plan.pixels;
   if (!(light > 0.0)) {
     for (size_t i = 0; i < pilots.size(); ++i)
       if (pilots[i].object) counts[i] = options.least;
-    return counts;
+    return plan;
   }
   light /= objects;
 
@@ -45,7 +50,12 @@ std::vector<PartCounts> plan_samples(const std::vector<PixelPilot>& pilots, int 
     return static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x);
   };
   std::vector<Variances> own(pilots.size()), smooth(pilots.size());
-  for (size_t i = 0; i < pilots.size(); ++i) own[i] = in_units(pilots[i], light, options);
+  const Units units(light, options);
+  double light_path = 0.0;
+  for (size_t i = 0; i < pilots.size(); ++i) {
+    for (size_t p = 0; p < kPixelParts; ++p) own[i][p] = units(pilots[i].s0[p], pilots[i].dop[p]);
+    light_path += units(pilots[i].light_path_s0, pilots[i].light_path_dop);
+  }
   Variances mean{};
   double touched = 0.0;
   for (int y = 0; y < height; ++y) {
@@ -65,9 +75,11 @@ std::vector<PartCounts> plan_samples(const std::vector<PixelPilot>& pilots, int 
     }
   }
   for (double& m : mean) m /= touched;
+  light_path /= touched;
+  const double light_path_cost = options.light_path_cost / touched;  // each pixel's share
 
-  // Lagrange: counts = root(variance / cost) x mean over pixels of the sum over parts of root(variance x
-  // cost).
+  // Lagrange: counts = root(variance / cost) x mean over pixels of the sum over parts, light paths included,
+  // of root(variance x cost).
   double budget = 0.0;
   for (size_t i = 0; i < pilots.size(); ++i) {
     if (!pilots[i].object) continue;
@@ -81,7 +93,7 @@ std::vector<PartCounts> plan_samples(const std::vector<PixelPilot>& pilots, int 
     }
     budget += options.parts ? rooted : std::sqrt(variance * cost);
   }
-  budget /= touched;
+  budget = budget / touched + std::sqrt(light_path * light_path_cost);
   for (size_t i = 0; i < pilots.size(); ++i) {
     if (!pilots[i].object) continue;
     double variance = 0.0, cost = 0.0;
@@ -97,7 +109,8 @@ std::vector<PartCounts> plan_samples(const std::vector<PixelPilot>& pilots, int 
       counts[i][p] = static_cast<int64_t>(bounded);
     }
   }
-  return counts;
+  plan.light_paths = static_cast<int64_t>(std::ceil(budget * std::sqrt(light_path / light_path_cost)));
+  return plan;
 }
 
 }  // namespace opaline::render

@@ -20,6 +20,9 @@ struct PixelPilot {
   std::array<double, kPixelParts> s0{};
   /// .. and of the degree of polarisation that it is part of, to first order.
   std::array<double, kPixelParts> dop{};
+  /// The same of what one light path brings to this pixel.
+  double light_path_s0 = 0.0;
+  double light_path_dop = 0.0;
 };
 
 /// Numbers of samples.
@@ -29,16 +32,22 @@ struct PlanOptions {
   double error = 0.03;  ///< wanted root-mean-square error of S0 over the object, relative to its mean there
   double dop_error = 0.0;  ///< the same of the degree of polarisation, absolute; 0: any
   std::array<double, kPixelParts> cost = {1.0, 1.0, 1.0};  ///< of one sample
+  double light_path_cost = 1.0;
   PartCounts least = {4, 4, 4};
   int64_t most = 1 << 16;
   bool parts = true;   ///< each part its own number
   bool pixels = true;  ///< each pixel its own number
 };
 
-/// Counts for every pixel of the object (zero elsewhere), row by row, that reach both errors at the least
-/// cost: in proportion to the root of variance / cost (Neyman's allocation). Variances are averaged over 3 x
-/// 3 pixels first, as a few samples tell little of rare bright ones.
-std::vector<PartCounts> plan_samples(const std::vector<PixelPilot>& pilots, int width, int height,
-                                     const PlanOptions& options);
+struct SamplePlan {
+  std::vector<PartCounts> pixels;  ///< row by row; zero off the object
+  int64_t light_paths = 0;         ///< which serve all pixels
+};
+
+/// Counts that reach both errors at the least cost: in proportion to the root of variance / cost (Neyman's
+/// allocation). Variances are averaged over 3 x 3 pixels first, as a few samples tell little of rare bright
+/// ones.
+SamplePlan plan_samples(const std::vector<PixelPilot>& pilots, int width, int height,
+                        const PlanOptions& options);
 
 }  // namespace opaline::render

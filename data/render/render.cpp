@@ -5,7 +5,10 @@
 #include <optional>
 
 #include "core/parallel.h"
+#include "data/render/light_paths.h"
+#include "data/render/pilot.h"
 #include "data/render/plan.h"
+#include "data/render/sequence.h"
 
 namespace opaline::render {
 namespace {
@@ -24,41 +27,11 @@ constexpr int64_t kLeastScattered = 8;
 /// A mirror sample costs one or two ray queries, the way through a clear body about fourteen, a scattered
 /// path with its connections about twenty.
 constexpr std::array<double, kPixelParts> kPartCost = {2.0, 14.0, 20.0};
-
-/// The multiples of powers of 1 / phi, phi^6 = phi + 1 (Roberts, "The unreasonable effectiveness of
-/// quasirandom sequences", 2018), shifted at random: each sample alone is uniform, together they are even.
-class Sequence {
- public:
-  static constexpr size_t kDimensions = 5;
-  Sequence(Random& random, bool even) : even_(even) {
-    for (double& x : shift_) x = random.uniform();
-  }
-  std::array<double, kDimensions> next(Random& random) {
-    std::array<double, kDimensions> x{};
-    if (!even_) {
-      for (double& value : x) value = random.uniform();
-      return x;
-    }
-    constexpr double kPhi = 1.1347241384015194;
-    double step = 1.0;
-    for (size_t i = 0; i < kDimensions; ++i) {
-      step /= kPhi;
-      const double value = shift_[i] + step * static_cast<double>(count_);
-      x[i] = value - std::floor(value);
-    }
-    ++count_;
-    return x;
-  }
-
- private:
-  std::array<double, kDimensions> shift_{};
-  int64_t count_ = 0;
-  bool even_;
-};
-
-double square(double x) {
-  return x * x;
-}
+constexpr double kLightPathCost = 20.0;
+/// With as many samples of each part: light paths are the noisier part and the cheaper one.
+constexpr int64_t kLightPathsPerSample = 2;
+/// Splats are thinned out that bring less than this share of what light comes in on the average.
+constexpr double kFaintShare = 0.5;
 
 void add(StokesRgb& sum, const StokesRgb& term) {
   for (size_t i = 0; i < 3; ++i)
@@ -80,79 +53,33 @@ class PixelSampler {
         x_(static_cast<double>(pixel % static_cast<size_t>(camera.width))),
         y_(static_cast<double>(pixel / static_cast<size_t>(camera.width))),
         random_(random),
-        sequence_(random, even),
+        sequence_(random),
+        even_(even),
         faults_(faults) {}
 
   PathSample next(const PathParts& parts) {
-    const auto u = sequence_.next(random_);
+    const auto u = numbers();
     return sample_path_parts(world_, camera_.ray(x_ + u[0], y_ + u[1]), parts,
                              {.channel = u[2], .distance = u[3], .light = u[4]}, random_, faults_);
   }
 
  private:
+  static constexpr size_t kNumbers = 5;
+  std::array<double, kNumbers> numbers() {
+    if (even_) return sequence_.at(count_++);
+    std::array<double, kNumbers> u{};
+    for (double& x : u) x = random_.uniform();
+    return u;
+  }
+
   const World& world_;
   const Camera& camera_;
   double x_, y_;
   Random& random_;
-  Sequence sequence_;
+  Sequence<kNumbers> sequence_;
+  int64_t count_ = 0;
+  bool even_;
   PathFaults& faults_;
-};
-
-/// What pilot samples say of one pixel.
-class PilotSums {
- public:
-  void add(const PathSample& s) {
-    ++count_;
-    if (!s.hit) return;
-    ++hits_;
-    // The mirror part is what is reflected without further events; it comes with the unscattered part's
-    // variance where more follow.
-    const std::array<StokesRgb, kPixelParts> parts = {s.reflected, s.unscattered, s.scattered};
-    for (size_t p = 0; p < kPixelParts; ++p) {
-      for (size_t c = 0; c < 3; ++c) {
-        for (size_t i = 0; i < 3; ++i) {
-          sum_[p][i][c] += parts[p][i][c];
-          for (size_t j = 0; j <= i; ++j) product_[p][c][i][j] += parts[p][i][c] * parts[p][j][c];
-        }
-      }
-    }
-  }
-
-  PixelPilot result() const {
-    PixelPilot pilot{.object = hits_ > 0, .whole = hits_ == count_};
-    if (hits_ == 0) return pilot;
-    const auto n = static_cast<double>(count_);
-    for (size_t c = 0; c < 3; ++c) {
-      std::array<double, 3> mean{};
-      for (size_t p = 0; p < kPixelParts; ++p)
-        for (size_t i = 0; i < 3; ++i) mean[i] += sum_[p][i][c] / n;
-      pilot.light += std::min(mean[0], kWhite) / 3.0;
-      const bool white = mean[0] > kWhite;
-      const double dop = mean[0] > 0.0 ? std::hypot(mean[1], mean[2]) / mean[0] : 0.0;
-      for (size_t p = 0; p < kPixelParts; ++p) {
-        const auto covariance = [&](size_t i, size_t j) {
-          return product_[p][c][std::max(i, j)][std::min(i, j)] / n - sum_[p][i][c] / n * (sum_[p][j][c] / n);
-        };
-        if (white || !(mean[0] > 0.0)) continue;
-        pilot.s0[p] += std::max(0.0, covariance(0, 0)) / 3.0;
-        // DoP = |(S1, S2)| / S0 along its direction (or the mean over directions where there is none).
-        const double length = std::hypot(mean[1], mean[2]);
-        const double u1 = length > 0.0 ? mean[1] / length : std::sqrt(0.5);
-        const double u2 = length > 0.0 ? mean[2] / length : std::sqrt(0.5);
-        const double variance = u1 * u1 * covariance(1, 1) + u2 * u2 * covariance(2, 2) +
-                                2.0 * u1 * u2 * covariance(1, 2) + dop * dop * covariance(0, 0) -
-                                2.0 * dop * (u1 * covariance(0, 1) + u2 * covariance(0, 2));
-        pilot.dop[p] += std::max(0.0, variance) / square(mean[0]) / 3.0;
-      }
-    }
-    return pilot;
-  }
-
- private:
-  static constexpr double kWhite = 2.0;
-  int64_t count_ = 0, hits_ = 0;
-  std::array<StokesRgb, kPixelParts> sum_{};
-  std::array<std::array<std::array<std::array<double, 3>, 3>, 3>, kPixelParts> product_{};
 };
 
 /// One scene being rendered.
@@ -176,7 +103,12 @@ class Renderer {
       };
       // A few sub-paths tell whether more are worth their time.
       if (options.savings.guide_by_need) make(kFewestPhotons);
-      if (!options.savings.guide_by_need || guide_->concentration() > kEven) {
+      const bool even = options.savings.guide_by_need && guide_->concentration() <= kEven;
+      if (!even && options.savings.light_paths && world_.geometry->mesh() != nullptr) {
+        tracer_.emplace(world_, scene.light, camera_, scene.low, scene.high);
+        if (!tracer_->possible()) tracer_.reset();
+      }
+      if (!even) {
         make(photons());
         world_.guide = &*guide_;
       }
@@ -185,7 +117,9 @@ class Renderer {
   }
 
   SceneRender run() {
-    const auto counts = options_.error > 0.0 ? plan() : even_counts();
+    const SamplePlan plan = options_.error > 0.0 ? planned() : even();
+    const std::vector<PartCounts>& counts = plan.pixels;
+    if (tracer_) trace_light(plan.light_paths);
     double scattered = 0.0, touched = 0.0;
     for_each_pixel([&](size_t pixel, PathFaults& faults) { render_pixel(pixel, counts[pixel], faults); });
     for (size_t i = 0; i < counts.size(); ++i) {
@@ -230,29 +164,101 @@ class Renderer {
     }
   }
 
-  std::vector<PartCounts> even_counts() const {
+  SamplePlan even() {
     PartCounts all{};
     all.fill(std::max<int64_t>(options_.spp, 1));
-    return std::vector<PartCounts>(result_.coverage.size(), all);
+    if (tracer_) pilot_light(kFewestPhotons);
+    return {std::vector<PartCounts>(result_.coverage.size(), all), all[0] * kLightPathsPerSample * touched()};
   }
 
-  std::vector<PartCounts> plan() {
+  /// Pixels that the object covers, about.
+  int64_t touched() const {
+    int64_t count = 0;
+    for (int y = 0; y < camera_.height; ++y) {
+      for (int x = 0; x < camera_.width; ++x) {
+        const CameraRay ray = camera_.ray(x + 0.5, y + 0.5);
+        Hit hit;
+        count += world_.geometry->intersect(ray.origin, ray.direction, kInfinity, hit) ? 1 : 0;
+      }
+    }
+    return count;
+  }
+
+  /// Light paths whose splats are looked at, not kept. Sets what the others' may leave out.
+  std::vector<LightPilot> pilot_light(int64_t paths) {
+    std::vector<LightPilot> pilots(result_.coverage.size());
+    double sum = 0.0, square = 0.0;
+    tracer_->trace(
+        {.paths = paths, .seed = options_.seed, .pass = 1, .number = options_.number},
+        [&](std::span<const Splat> splats) {
+          for (const Splat& splat : splats) {
+            pilots[splat.pixel].add(splat);
+            const double s0 = splat.brightness();
+            sum += s0;
+            square += s0 * s0;
+          }
+        },
+        result_.faults);
+    faint_ = sum > 0.0 ? kFaintShare * square / sum : 0.0;
+    return pilots;
+  }
+
+  void trace_light(int64_t planned) {
+    // Some at least: pilots may not have seen what there is.
+    const int64_t paths =
+        std::clamp(planned, kFewestPhotons, std::max(kFewestPhotons, options_.most * touched()));
+    light_.resize(result_.coverage.size());
+    tracer_->trace(
+        {.paths = paths, .faint = faint_, .seed = options_.seed, .number = options_.number},
+        [this](std::span<const Splat> splats) {
+          for (const Splat& splat : splats)
+            for (size_t i = 0; i < 3; ++i)
+              for (size_t c = 0; c < 3; ++c)
+                light_[splat.pixel][i][c] += double{splat.rows[i]} * double{splat.light[c]};
+        },
+        result_.faults);
+    for (StokesRgb& pixel : light_)
+      for (Rgb& row : pixel) row = scaled(row, 1.0 / static_cast<double>(paths));
+    result_.light_paths = paths;
+  }
+
+  SamplePlan planned() {
+    const int64_t paths = tracer_ ? options_.pilot * touched() : 0;
+    std::vector<LightPilot> light(result_.coverage.size());
+    if (tracer_) light = pilot_light(paths);
     std::vector<PixelPilot> pilots(result_.coverage.size());
     for_each_pixel([&](size_t pixel, PathFaults& faults) {
       Random random = stream(pixel, Pass::kPilot);
       PixelSampler sampler(world_, camera_, pixel, random, options_.savings.even_samples, faults);
-      PilotSums sums;
-      for (int64_t s = 0; s < options_.pilot; ++s) sums.add(sampler.next({}));
-      pilots[pixel] = sums.result();
+      CameraPilot camera;
+      for (int64_t s = 0; s < options_.pilot; ++s) camera.add(sampler.next({.direct = !tracer_}));
+      LightPilot around;
+      const double pixels = add_around(light, pixel, around);
+      pilots[pixel] = camera.result(light[pixel], around, pixels, paths);
     });
     return plan_samples(pilots, camera_.width, camera_.height,
                         {.error = options_.error,
                          .dop_error = options_.dop_error,
                          .cost = kPartCost,
+                         .light_path_cost = kLightPathCost,
                          .least = {kBackgroundSamples, options_.spp, kLeastScattered},
                          .most = options_.most,
                          .parts = options_.savings.parts,
                          .pixels = options_.savings.pixels});
+  }
+
+  /// Sums what the pixel and its neighbours got; returns how many they are.
+  double add_around(const std::vector<LightPilot>& light, size_t pixel, LightPilot& sum) const {
+    const auto width = static_cast<size_t>(camera_.width), height = static_cast<size_t>(camera_.height);
+    const size_t x = pixel % width, y = pixel / width;
+    double count = 0.0;
+    for (size_t j = y - std::min<size_t>(y, 1); j <= std::min(y + 1, height - 1); ++j) {
+      for (size_t i = x - std::min<size_t>(x, 1); i <= std::min(x + 1, width - 1); ++i) {
+        sum.add(light[j * width + i]);
+        count += 1.0;
+      }
+    }
+    return count;
   }
 
   void render_pixel(size_t pixel, const PartCounts& counts, PathFaults& faults) {
@@ -265,10 +271,11 @@ class Renderer {
     Vec3 normal{};
     double depth = 0.0;
     int64_t hits = 0;
+    const bool direct = !tracer_;
     const bool together = counts[0] == counts[1] && counts[0] == counts[2] && mirrors == counts[0];
     for (int64_t s = 0; s < mirrors; ++s) {
       const PathSample sample =
-          sampler.next({.mirror = true, .unscattered = together, .scattered = together});
+          sampler.next({.mirror = true, .unscattered = together, .scattered = together, .direct = direct});
       if (!sample.hit) {
         for (size_t c = 0; c < 3; ++c) {
           image[0][c] += sample.background[c];
@@ -288,9 +295,10 @@ class Renderer {
         for (double& value : row) value *= share;
     if (!together) {
       add_part(counts[1], {.mirror = false, .unscattered = true, .scattered = false}, sampler, image, &bsdf);
-      add_part(counts[2], {.mirror = false, .unscattered = false, .scattered = true}, sampler, image,
-               nullptr);
+      add_part(counts[2], {.mirror = false, .unscattered = false, .scattered = true, .direct = direct},
+               sampler, image, nullptr);
     }
+    if (tracer_) add(image, light_[pixel]);
     if (!options_.savings.shared_paths) bsdf = separate_bsdf(pixel, mirrors, faults);
     write(pixel, image, bsdf);
     result_.coverage[pixel] = static_cast<float>(static_cast<double>(hits) * share);
@@ -359,6 +367,9 @@ class Renderer {
   RenderOptions options_;
   World world_;
   std::optional<Guide> guide_;
+  std::optional<LightTracer> tracer_;  // of scattered light that the camera sees straight through the surface
+  double faint_ = 0.0;
+  std::vector<StokesRgb> light_;  // that it has found
   SceneRender result_;
 };
 

@@ -29,6 +29,7 @@ struct SceneRender {
   double spp = 0.0;     ///< scattered paths a pixel that the object touches, mean
   int64_t capped = 0;   ///< pixels that wanted more samples than RenderOptions::most
   bool guided = false;  ///< whether the guide was worth its time
+  int64_t light_paths = 0;
 };
 
 /// Which images are called "pure BSDF": the dielectric without its medium, or its first reflection alone.
@@ -43,6 +44,7 @@ struct Savings {
   bool pixels = true;           ///< with `error`: each pixel its own number of samples
   bool guide = true;            ///< directions to the light learned beforehand
   bool guide_by_need = true;    ///< .. unless light comes from everywhere
+  bool light_paths = true;      ///< scattered light traced from its source, unless it comes from everywhere
   bool bounded_queries = true;  ///< queries end where the free flight does
   bool even_samples = true;     ///< a low-discrepancy sequence over a pixel's samples
 };
@@ -54,7 +56,7 @@ struct RenderOptions {
   /// square over its pixels, to this share of its mean there (light over white, S0 = 2, counts as white).
   double error = 0.0;
   double dop_error = 0.0;  ///< over 0: .. and that of the degree of polarisation to this
-  int64_t pilot = 16;      ///< samples a pixel that `error` is planned from
+  int64_t pilot = 8;       ///< samples a pixel that `error` is planned from
   int64_t most = 1 << 16;  ///< samples of a part of a pixel
   BsdfReading bsdf = BsdfReading::kClear;
   /// Light sub-paths of the guide; 0: about as many as camera paths, up to what a cell can make use of.

@@ -16,10 +16,6 @@ constexpr double kPi = std::numbers::pi;
 /// Streams of an attempt at a scene: the object and its light, the room, what is taken from the assets.
 constexpr uint32_t kStreamsPerAttempt = 3;
 
-double mean(const Rgb& c) {
-  return (c[0] + c[1] + c[2]) / 3.0;
-}
-
 /// One of the collection, with this probability; its name is put into `name`.
 template <class T>
 std::optional<T> draw_from(const Collection<T>& collection, double share, std::string_view what,
@@ -46,19 +42,6 @@ std::vector<Family> all_families() {
   std::vector<Family> families;
   for (size_t i = 0; i < kFamilyNames.size(); ++i) families.push_back(static_cast<Family>(i));
   return families;
-}
-
-CameraRay Camera::ray(double x, double y) const {
-  const double half = std::tan(0.5 * field * kPi / 180.0);
-  const double scale = 2.0 * half / width;
-  const Vec3 direction = normalised({(x - 0.5 * width) * scale, (0.5 * height - y) * scale, -1.0});
-  // The image's x axis, projected perpendicular to the ray.
-  const Vec3 axis = normalised(Vec3{1.0, 0.0, 0.0} - direction * direction.x);
-  return {position, direction, axis};
-}
-
-double Camera::pixel_size(double z) const {
-  return 2.0 * std::tan(0.5 * field * kPi / 180.0) * (position.z - z) / width;
 }
 
 SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t seed, uint32_t number,

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "data/render/assets.h"
+#include "data/render/camera.h"
 #include "data/render/path.h"
 #include "data/render/range.h"
 #include "data/render/room.h"
@@ -16,19 +17,6 @@ namespace opaline::render {
 
 /// Half-width of the cube that objects stay in, metres: the unit of depth.
 inline constexpr double kCube = 0.25;
-
-/// A pinhole at (0, 0, 0.7) that looks along -z. Pixels are square; `field` is the horizontal angle.
-struct Camera {
-  int width = 64;
-  int height = 64;
-  Vec3 position{0.0, 0.0, 0.7};
-  double field = 39.3;  ///< degrees
-
-  /// The ray through the point (x, y) of the image, in pixels from the top left corner.
-  CameraRay ray(double x, double y) const;
-  /// Width of a pixel at depth z.
-  double pixel_size(double z) const;
-};
 
 /// Every family.
 std::vector<Family> all_families();
@@ -42,7 +30,7 @@ struct SceneRanges {
   Range sigma_t{0.0, 32.0};  ///< per metre and colour
   Range albedo{0.3, 0.95};   ///< per colour
   Range g{0.0, 0.9};
-  Range flash{35.0, 75.0};       ///< radiance
+  Range flash{35.0, 75.0};  ///< radiance
   Range environment{0.05, 0.5};  ///< irradiance at the cube's centre facing the camera / the flash's there
   RoomOptions room{};
   double object_share = 1.0;    ///< of scenes whose object is from the assets, where there are any

@@ -1,6 +1,7 @@
 // A vector of three doubles. World axes: x right, y up, z towards the camera; metres.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -14,6 +15,19 @@ struct Vec3 {
 
 /// Red, green, blue.
 using Rgb = std::array<double, 3>;
+
+constexpr Rgb product(const Rgb& a, const Rgb& b) {
+  return {a[0] * b[0], a[1] * b[1], a[2] * b[2]};
+}
+constexpr Rgb scaled(const Rgb& a, double s) {
+  return {a[0] * s, a[1] * s, a[2] * s};
+}
+constexpr double mean(const Rgb& c) {
+  return (c[0] + c[1] + c[2]) / 3.0;
+}
+constexpr double largest(const Rgb& c) {
+  return std::max({c[0], c[1], c[2]});
+}
 
 constexpr Vec3 operator+(const Vec3& a, const Vec3& b) {
   return {a.x + b.x, a.y + b.y, a.z + b.z};

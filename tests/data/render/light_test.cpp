@@ -77,16 +77,43 @@ TEST_CASE("a direction finds the texel that was made for it") {
 }
 
 TEST_CASE("directions are drawn in proportion to brightness") {
-  const Environment e = environment_of([](const Vec3& d) { return grey(d.y > 0.0 ? 3.0 : 1.0); }, 16);
+  const Environment e = environment_of([](const Vec3& d) { return grey(d.y > 0.0 ? 3.0 : 1.0); }, 64);
   Random random(4, Purpose::kTest);
   int up = 0;
   constexpr int kCount = 100'000;
   for (int i = 0; i < kCount; ++i) {
-    const Vec3 d = e.sample(random);
+    const Vec3 d = e.sample(random.uniform(), random.uniform(), random.uniform());
     REQUIRE(norm(d) == Approx(1.0));
     if (d.y > 0.0) ++up;
   }
   CHECK(up == Approx(0.75 * kCount).margin(4 * std::sqrt(kCount * 0.1875)));
+}
+
+TEST_CASE("the density of drawn directions is what it says, beside dark texels too", "[statistics]") {
+  std::vector<Rgb> texels(6 * 12, Rgb{});
+  texels[2 * 12 + 11] = {9.0, 0.0, 0.0};  // next to the seam
+  texels[4] = {1.0, 1.0, 1.0};            // at the pole
+  const Environment e(texels, 12);
+  Random random(5, Purpose::kTest);
+  constexpr int kCount = 400'000;
+  // The density is that of the draws: over every half-space both give the same share.
+  for (const Vec3& n : {Vec3{0, 0, 1}, Vec3{1, 0, 0}, Vec3{0, 1, 0}}) {
+    double drawn = 0.0, said = 0.0, square = 0.0, light = 0.0;
+    for (int i = 0; i < kCount; ++i) {
+      const Vec3 d = e.sample(random.uniform(), random.uniform(), random.uniform());
+      REQUIRE(e.density(d) > 0.0);
+      if (dot(d, n) > 0.0) drawn += 1.0;
+      light += e.radiance(d)[0] / e.density(d);
+      const Vec3 even = around({0, 0, 1}, random.uniform(-1, 1), random.uniform(0, 2 * std::numbers::pi));
+      const double p = dot(even, n) > 0.0 ? 4.0 * std::numbers::pi * e.density(even) : 0.0;
+      said += p;
+      square += p * p;
+      if (e.radiance(even)[0] > 0.0) REQUIRE(e.density(even) > 0.0);
+    }
+    const double share = said / kCount, error = std::sqrt((square / kCount - share * share) / kCount);
+    CHECK(std::abs(drawn / kCount - share) <= 4.0 * error + 4.0 * 0.5 / std::sqrt(kCount));
+    CHECK(light / kCount == Approx(e.fluence()[0]).epsilon(0.01));
+  }
 }
 
 TEST_CASE("irradiance and fluence of uniform light") {
@@ -123,7 +150,8 @@ TEST_CASE("turning an environment turns its light around the vertical axis") {
   CHECK(environment.fluence()[0] == Approx(before[0]).epsilon(1e-9));
   Random random(1, Purpose::kTest);
   int towards = 0;
-  for (int i = 0; i < 1000; ++i) towards += environment.sample(random).x < 0.0 ? 1 : 0;
+  for (int i = 0; i < 1000; ++i)
+    towards += environment.sample(random.uniform(), random.uniform(), random.uniform()).x < 0.0 ? 1 : 0;
   CHECK(towards > 700);
 }
 

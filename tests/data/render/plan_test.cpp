@@ -48,7 +48,7 @@ TEST_CASE("a plan reaches the error that is asked for, and no less is asked of i
   const std::array<double, kPixelParts> cost{2.0, 14.0, 20.0};
   const PlanOptions options{
       .error = 0.5, .dop_error = 1e9, .cost = cost, .least = {1, 1, 1}, .most = 1 << 30};
-  const auto counts = plan_samples(pilots, 12, 12, options);
+  const auto counts = plan_samples(pilots, 12, 12, options).pixels;
   CHECK(planned_error(pilots, counts) == Approx(0.5).epsilon(0.1));
 
   // Each freedom that is taken away costs.
@@ -57,7 +57,7 @@ TEST_CASE("a plan reaches the error that is asked for, and no less is asked of i
   same_parts.parts = neither.parts = false;
   const double free = planned_cost(counts, cost);
   for (const PlanOptions& o : {same_pixels, same_parts, neither}) {
-    const auto other = plan_samples(pilots, 12, 12, o);
+    const auto other = plan_samples(pilots, 12, 12, o).pixels;
     CHECK(planned_error(pilots, other) == Approx(0.5).epsilon(0.1));
     CHECK(planned_cost(other, cost) > 1.1 * free);
   }
@@ -68,7 +68,8 @@ TEST_CASE("pixels off the object get nothing, and bounds hold") {
   pilots[0] = {};
   pilots[1].s0[2] = 1e12;
   const auto counts =
-      plan_samples(pilots, 12, 12, {.error = 0.01, .dop_error = 1e9, .least = {3, 5, 7}, .most = 1000});
+      plan_samples(pilots, 12, 12, {.error = 0.01, .dop_error = 1e9, .least = {3, 5, 7}, .most = 1000})
+          .pixels;
   CHECK(counts[0] == PartCounts{});
   for (size_t i = 1; i < counts.size(); ++i) {
     CHECK(counts[i][0] >= 3);
@@ -82,12 +83,32 @@ TEST_CASE("the degree of polarisation asks for samples of its own") {
   auto pilots = halves();
   for (PixelPilot& p : pilots) p.dop = {1e-2, 0.0, 0.0};
   const PlanOptions options{.error = 1e9, .dop_error = 0.01, .least = {1, 1, 1}};
-  const auto counts = plan_samples(pilots, 12, 12, options);
+  const auto counts = plan_samples(pilots, 12, 12, options).pixels;
   for (const PartCounts& c : counts) CHECK(c[0] == Approx(100).margin(60));
 }
 
 TEST_CASE("a black object is planned too") {
   const std::vector<PixelPilot> pilots(4, pilot(0.0, {0, 0, 0}));
-  const auto counts = plan_samples(pilots, 2, 2, {.least = {2, 2, 2}});
+  const auto counts = plan_samples(pilots, 2, 2, {.least = {2, 2, 2}}).pixels;
   for (const PartCounts& c : counts) CHECK(c == PartCounts{2, 2, 2});
+}
+
+TEST_CASE("light paths get their share of the error") {
+  auto pilots = halves();
+  for (PixelPilot& p : pilots) p.light_path_s0 = 50.0;
+  const PlanOptions options{
+      .error = 0.5, .dop_error = 1e9, .light_path_cost = 2.0 * 144.0, .least = {1, 1, 1}, .most = 1 << 30};
+  const SamplePlan plan = plan_samples(pilots, 12, 12, options);
+  const double pixels = planned_error(pilots, plan.pixels);
+  const double light = std::sqrt(50.0 / static_cast<double>(plan.light_paths)) / 0.5;
+  CHECK(std::hypot(pixels, light) == Approx(0.5).epsilon(0.1));
+  // Neither more nor fewer of them would be cheaper at the same error.
+  const auto cost = [&](double paths) {
+    const double rest = 0.25 - 50.0 / paths / 0.25;  // of the squared error, left for pixels
+    return planned_cost(plan.pixels, options.cost) * pixels * pixels / rest + paths * options.light_path_cost;
+  };
+  const auto paths = static_cast<double>(plan.light_paths);
+  CHECK(cost(paths) < cost(0.8 * paths));
+  CHECK(cost(paths) < cost(1.25 * paths));
+  CHECK(plan_samples(halves(), 12, 12, options).light_paths == 0);
 }

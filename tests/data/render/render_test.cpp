@@ -112,6 +112,7 @@ TEST_CASE("no saving changes the light", "[statistics]") {
   check("parts alike", {.parts = false});
   check("pixels alike", {.pixels = false});
   check("no guide", {.guide = false});
+  check("no light paths", {.light_paths = false});
   check("unbounded queries", {.bounded_queries = false});
   check("independent samples", {.even_samples = false});
 }
@@ -140,4 +141,43 @@ TEST_CASE("light from everywhere needs no guide, a flash does") {
   RenderOptions always = options;
   always.savings.guide_by_need = false;
   CHECK(render_scene(scene, kCamera, always).guided);
+}
+
+TEST_CASE(
+    "white furnace: with light from its source and from the camera a body that absorbs nothing vanishes",
+    "[statistics]") {
+  for (const Family family : {Family::kHarmonics, Family::kVessel}) {
+    SceneModel scene = draw_scene({.families = {family}}, kCamera, 3, 2);
+    scene.light.flash.radiance = 0.0;
+    scene.light.environment = Environment(Rgb{1.0, 1.0, 1.0});
+    scene.medium = {.sigma_t = {4.0, 7.0, 10.0}, .albedo = {1.0, 1.0, 1.0}, .g = 0.4};
+    std::array<double, 3> sum{}, square{};
+    constexpr int kSeeds = 72;
+    for (int seed = 0; seed < kSeeds; ++seed) {
+      const SceneRender r = render_scene(scene, kCamera,
+                                         {.spp = 24,
+                                          .photons = 20'000,
+                                          .savings = {.guide_by_need = false},
+                                          .seed = static_cast<uint64_t>(seed)});
+      REQUIRE(r.light_paths > 0);
+      std::array<double, 3> light{};
+      double pixels = 0.0;
+      for (size_t p = 0; p < r.coverage.size(); ++p) {
+        if (!(r.coverage[p] > 0.0F)) continue;
+        for (size_t c = 0; c < 3; ++c) light[c] += double{r.image[9 * p + c]};
+        pixels += 1.0;
+      }
+      for (size_t c = 0; c < 3; ++c) {
+        sum[c] += light[c] / pixels;
+        square[c] += light[c] / pixels * (light[c] / pixels);
+      }
+    }
+    for (size_t c = 0; c < 3; ++c) {
+      const double mean = sum[c] / kSeeds;
+      const double error = std::sqrt((square[c] / kSeeds - mean * mean) / (kSeeds - 1.0));
+      INFO(scene.object << ", colour " << c << ": " << mean << " +- " << error);
+      CHECK(std::abs(mean - 1.0) <= 3.0 * error);
+      CHECK(error <= 3e-3);
+    }
+  }
 }
