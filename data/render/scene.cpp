@@ -78,7 +78,7 @@ SceneModel draw_scene(const SceneRanges& ranges, const Camera& camera, uint64_t 
     scene.light.environment = make_room(room, ranges.room);
   }
   const double wanted = share * scene.light.flash.irradiance({});
-  const double given = mean(scene.light.environment.irradiance({0.0, 0.0, 1.0}));
+  const double given = mean(scene.light.environment.fluence()) / 4.0;
   if (!(given > 0.0)) fail_usage("render", "{} sheds no light on the object", scene.environment);
   scene.light.environment.scale(wanted / given);
 

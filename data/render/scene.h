@@ -31,7 +31,9 @@ struct SceneRanges {
   Range albedo{0.3, 0.95};   ///< per colour
   Range g{0.0, 0.9};
   Range flash{35.0, 75.0};  ///< radiance
-  Range environment{0.05, 0.5};  ///< irradiance at the cube's centre facing the camera / the flash's there
+  /// Irradiance at the cube's centre, mean over the ways to face (fluence / 4) / the flash's there. Not that
+  /// of a plane that faces the camera: a lamp behind the body would not count, and be scaled to outshine all.
+  Range environment{0.05, 0.5};
   RoomOptions room{};
   double object_share = 1.0;    ///< of scenes whose object is from the assets, where there are any
   double bump_share = 1.0;      ///< the same of bumps
