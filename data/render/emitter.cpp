@@ -39,11 +39,11 @@ LightRay Emitter::emit(const std::array<double, kDimensions>& u) const {
     const Vec3 between = flash.centre - centre_, axis = normalised(between);
     const double wide = flash_widening_ * flash.radius, aim = flash_widening_ * radius_;
     const Vec3 from = flash.centre + disc(axis, wide, u[1], u[2]);
-    const Vec3 way = centre_ + disc(axis, aim, u[3], u[4]) - from;
+    const Vec3 to = centre_ + disc(axis, aim, u[3], u[4]), way = to - from;
     const double distance = norm(way);
     LightRay ray{from, way * (1.0 / distance), {}};
     // From beside the flash rather than from within: what lies between is nobody's.
-    if (!flash.hit(centre_ + disc(axis, aim, u[3], u[4]), -ray.direction)) return ray;
+    if (!flash.hit(to, -ray.direction)) return ray;
     const double cosine = -dot(ray.direction, axis);
     const double areas = kPi * wide * wide * kPi * aim * aim;
     const double flux = flash.radiance * areas * cosine * cosine / (distance * distance) / flash_share_;
@@ -52,10 +52,14 @@ LightRay Emitter::emit(const std::array<double, kDimensions>& u) const {
   }
   const double pick = (u[0] - flash_share_) / (1.0 - flash_share_);
   const Vec3 towards = light_.environment.sample(pick, u[1], u[2]);
+  const Vec3 aim = centre_ + disc(towards, radius_, u[3], u[4]);
+  LightRay ray{aim + towards * (2.0 * radius_), -towards, {}};
+  // The flash stands before what is behind it.
   const double density = light_.environment.density(towards);
-  const double scale = density > 0.0 ? kPi * radius_ * radius_ / (density * (1.0 - flash_share_)) : 0.0;
-  return {centre_ + towards * (2.0 * radius_) + disc(towards, radius_, u[3], u[4]), -towards,
-          scaled(light_.environment.radiance(towards), scale)};
+  if (!(density > 0.0) || (light_.flash.radiance > 0.0 && light_.flash.hit(aim, towards))) return ray;
+  ray.flux = scaled(light_.environment.radiance(towards),
+                    kPi * radius_ * radius_ / (density * (1.0 - flash_share_)));
+  return ray;
 }
 
 }  // namespace opaline::render

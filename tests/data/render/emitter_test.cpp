@@ -67,6 +67,16 @@ TEST_CASE("an emitter's rays carry the light's radiance", "[statistics]") {
   }
 }
 
+TEST_CASE("the flash hides what is behind it", "[statistics]") {
+  Illumination light;
+  light.environment = Environment(Rgb{1.0, 1.0, 1.0});
+  light.flash.radiance = 1e-6;
+  // Rays to all of the ball: without the flash each would carry the same.
+  const double hidden = 4.0 * kPi - fluence(Emitter(light, {}, 0.2), {}, 0.2, 0).mean;
+  const double solid_angle = 2.0 * kPi * (1.0 - std::sqrt(1.0 - 0.1 * 0.1 / (0.8 * 0.8)));
+  CHECK(hidden == Approx(solid_angle).epsilon(0.1));
+}
+
 TEST_CASE("an emitter says when there is no light, and when the flash is too near") {
   Illumination light;
   CHECK(Emitter(light, {}, 0.2).dark());
