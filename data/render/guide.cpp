@@ -5,6 +5,7 @@
 #include <numbers>
 
 #include "data/render/emitter.h"
+#include "data/render/sequence.h"
 #include "data/render/walk.h"
 
 namespace opaline::render {
@@ -148,9 +149,7 @@ Guide::Guide(const World& world, const Illumination& light, const Vec3& low, con
   };
 
   for (int64_t photon = 0; photon < options.photons; ++photon) {
-    std::array<double, Emitter::kDimensions> u{};
-    for (double& x : u) x = random.uniform();
-    auto [origin, direction, flux] = emitter.emit(u);
+    auto [origin, direction, flux] = emitter.emit(uniform<Emitter::kDimensions>(random));
     if (!(largest(flux) > 0.0)) continue;
     bool inside = false;
     double length = 0.0;

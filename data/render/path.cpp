@@ -143,7 +143,7 @@ void Walker::connect(const Vec3& position, const Vec3& direction, const Guide::D
 /// Light that has scattered.
 void Walker::add_scattered(Ray ray, Response<3> camera, Rgb beta, const FirstNumbers& first, StokesRgb& sum) {
   double length = 0.0;
-  End end = walk_.fly(ray, camera, beta, length, &first);
+  End end = walk_.fly(ray, camera, beta, length, &first.flight);
   // Where the light comes out it is unpolarised: one number for each of the pixel's Stokes components.
   const Rgb rows = first_column(camera.scattered);
   for (bool first_scattering = true; end == End::kScattered; first_scattering = false) {
@@ -162,13 +162,15 @@ void Walker::add_scattered(Ray ray, Response<3> camera, Rgb beta, const FirstNum
       if (guided.known()) connect(ray.origin, ray.direction, guided, beta, rows, pick, sum);
     }
 
-    const double cosine = sample_henyey_greenstein(random_.uniform(), world_.medium.g);
-    const Vec3 direction = around(ray.direction, cosine, 2.0 * std::numbers::pi * random_.uniform());
+    const double cosine =
+        sample_henyey_greenstein(first_scattering ? first.cosine : random_.uniform(), world_.medium.g);
+    const double turn = first_scattering ? first.azimuth : random_.uniform();
+    const Vec3 direction = around(ray.direction, cosine, 2.0 * std::numbers::pi * turn);
     ray.direction = direction;
     Response<1> response = scalar_response(direction);
     const Rgb before = beta;
     length = 0.0;
-    end = walk_.fly(ray, response, beta, length);
+    end = walk_.fly(ray, response, beta, length, first_scattering ? &first.second : nullptr);
     if (end == End::kEscaped) {
       const double phase = henyey_greenstein(cosine, world_.medium.g);
       const double share = phase_share(phase, guided.density(direction), before, length);
@@ -267,8 +269,7 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
 }  // namespace
 
 PathSample sample_path(const World& world, const CameraRay& ray, Random& random, PathFaults& faults) {
-  const FirstNumbers first{random.uniform(), random.uniform(), random.uniform()};
-  return Walker(world, random, faults).run(ray, {}, first);
+  return Walker(world, random, faults).run(ray, {}, FirstNumbers(random));
 }
 
 PathSample sample_path_parts(const World& world, const CameraRay& ray, const PathParts& parts,

@@ -58,19 +58,13 @@ class PixelSampler {
         faults_(faults) {}
 
   PathSample next(const PathParts& parts) {
-    const auto u = numbers();
+    const auto u = even_ ? sequence_.at(count_++) : uniform<kNumbers>(random_);
     return sample_path_parts(world_, camera_.ray(x_ + u[0], y_ + u[1]), parts,
-                             {.channel = u[2], .distance = u[3], .light = u[4]}, random_, faults_);
+                             FirstNumbers(std::span(u).last<FirstNumbers::kCount>()), random_, faults_);
   }
 
  private:
-  static constexpr size_t kNumbers = 5;
-  std::array<double, kNumbers> numbers() {
-    if (even_) return sequence_.at(count_++);
-    std::array<double, kNumbers> u{};
-    for (double& x : u) x = random_.uniform();
-    return u;
-  }
+  static constexpr size_t kNumbers = 2 + FirstNumbers::kCount;
 
   const World& world_;
   const Camera& camera_;

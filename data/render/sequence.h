@@ -10,6 +10,14 @@
 
 namespace opaline::render {
 
+/// Independent numbers in [0, 1).
+template <size_t D>
+std::array<double, D> uniform(Random& random) {
+  std::array<double, D> x;
+  for (double& value : x) value = random.uniform();
+  return x;
+}
+
 /// Points in the unit cube: multiples of powers of 1 / phi, phi^(D + 1) = phi + 1 (Roberts, "The unreasonable
 /// effectiveness of quasirandom sequences", 2018), shifted at random. Each point alone is uniform, together
 /// they are even.

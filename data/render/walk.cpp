@@ -45,7 +45,7 @@ void Walk::cross(const Hit& hit, Ray& ray, Response<R>& response) {
 }
 
 template <int R>
-End Walk::fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FirstNumbers* first) {
+End Walk::fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FlightNumbers* first) {
   for (int events = 0;; ++events) {
     Hit hit;
     if (ray.inside) {
@@ -83,8 +83,8 @@ template void Walk::branch(const Hit&, const Crossing&, bool, double, Ray&, Resp
 template void Walk::branch(const Hit&, const Crossing&, bool, double, Ray&, Response<3>&) const;
 template void Walk::cross(const Hit&, Ray&, Response<1>&);
 template void Walk::cross(const Hit&, Ray&, Response<3>&);
-template End Walk::fly(Ray&, Response<1>&, Rgb&, double&, const FirstNumbers*);
-template End Walk::fly(Ray&, Response<3>&, Rgb&, double&, const FirstNumbers*);
+template End Walk::fly(Ray&, Response<1>&, Rgb&, double&, const FlightNumbers*);
+template End Walk::fly(Ray&, Response<3>&, Rgb&, double&, const FlightNumbers*);
 
 Response<1> scalar_response(const Vec3& direction) {
   Response<1> response;

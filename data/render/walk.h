@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 
 #include "core/random.h"
 #include "data/render/fresnel.h"
@@ -11,6 +12,7 @@
 #include "data/render/light.h"
 #include "data/render/medium.h"
 #include "data/render/mueller.h"
+#include "data/render/sequence.h"
 
 namespace opaline::render {
 
@@ -32,12 +34,24 @@ struct PathFaults {
   int64_t paths = 0;
 };
 
-/// The first random numbers of a walk, in [0, 1): a low-discrepancy sequence over a pixel's samples
-/// can take their place.
-struct FirstNumbers {
-  double channel = 0;   ///< chooses the colour whose free flight is drawn
+/// Two random numbers in [0, 1) that a free flight is drawn from.
+struct FlightNumbers {
+  double channel = 0;   ///< chooses the colour whose flight it is
   double distance = 0;  ///< draws that flight
-  double light = 0;     ///< chooses the guide's bin of directions
+};
+
+/// The first random numbers of a walk, in [0, 1): a low-discrepancy sequence can take their place.
+struct FirstNumbers {
+  FlightNumbers flight;  ///< the first one
+  double light = 0;      ///< chooses the guide's bin of directions at the first scattering
+  double cosine = 0;     ///< .. and the direction of the phase function there
+  double azimuth = 0;
+  FlightNumbers second;  ///< flight, after that
+
+  static constexpr size_t kCount = 7;
+  explicit FirstNumbers(std::span<const double, kCount> u)
+      : flight{u[0], u[1]}, light(u[2]), cosine(u[3]), azimuth(u[4]), second{u[5], u[6]} {}
+  explicit FirstNumbers(Random& random) : FirstNumbers(uniform<kCount>(random)) {}
 };
 
 struct Ray {
@@ -83,7 +97,7 @@ class Walk {
   /// to the last surface. By reciprocity the response serves light that is traced forwards as well
   /// (data/render/mueller.h).
   template <int R>
-  End fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FirstNumbers* first = nullptr);
+  End fly(Ray& ray, Response<R>& response, Rgb& beta, double& length, const FlightNumbers* first = nullptr);
 
  private:
   const World& world_;

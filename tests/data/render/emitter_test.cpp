@@ -5,6 +5,7 @@
 #include <numbers>
 
 #include "core/random.h"
+#include "data/render/sequence.h"
 
 using namespace opaline;
 using namespace opaline::render;
@@ -22,9 +23,7 @@ Fluence fluence(const Emitter& emitter, const Vec3& centre, double radius, size_
   constexpr int kCount = 300'000;
   double sum = 0.0, square = 0.0;
   for (int i = 0; i < kCount; ++i) {
-    std::array<double, Emitter::kDimensions> u{};
-    for (double& x : u) x = random.uniform();
-    const LightRay ray = emitter.emit(u);
+    const LightRay ray = emitter.emit(uniform<Emitter::kDimensions>(random));
     const Vec3 way = centre - ray.origin;
     const double along = dot(way, ray.direction);
     if (!(along > 0.0 && dot(way, way) - along * along <= radius * radius)) continue;

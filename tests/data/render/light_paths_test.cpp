@@ -52,7 +52,7 @@ Totals by_camera(const World& world, bool direct, int batch, int samples) {
   for (size_t p = 0; p < 144; ++p) {
     Random random(7, Purpose::kTest, static_cast<uint32_t>(p), static_cast<uint32_t>(batch));
     for (int s = 0; s < samples; ++s) {
-      const FirstNumbers first{random.uniform(), random.uniform(), random.uniform()};
+      const FirstNumbers first(random);
       const PathSample sample =
           sample_path_parts(world,
                             kCamera.ray(static_cast<double>(p % 12) + random.uniform(),
