@@ -33,7 +33,7 @@ Emitter::Emitter(const Illumination& light, const Vec3& centre, double radius)
   flash_widening_ = 1.0 / std::sqrt(1.0 - std::fmin(sine, kSteepest) * std::fmin(sine, kSteepest));
 }
 
-LightRay Emitter::emit(const std::array<double, kDimensions>& u) const {
+LightRay Emitter::emit(std::span<const double, kDimensions> u) const {
   if (u[0] < flash_share_) {
     const Flash& flash = light_.flash;
     const Vec3 between = flash.centre - centre_, axis = normalised(between);

@@ -1,8 +1,8 @@
 // Where light starts that is traced from its source.
 #pragma once
 
-#include <array>
 #include <cstddef>
+#include <span>
 
 #include "data/render/light.h"
 #include "data/render/vec3.h"
@@ -30,7 +30,7 @@ class Emitter {
   bool dark() const { return dark_; }
   /// Whether it emits every ray from the light to the ball: not where the flash is too near.
   bool complete() const { return complete_; }
-  LightRay emit(const std::array<double, kDimensions>& u) const;
+  LightRay emit(std::span<const double, kDimensions> u) const;
 
  private:
   const Illumination& light_;

@@ -50,7 +50,7 @@ LightTracer::LightTracer(const World& world, const Illumination& light, const Ca
 
 void LightTracer::trace(const Options& options, const Sink& sink, PathFaults& faults) const {
   Random shift(options.seed, Purpose::kRender, kLightStreams + options.pass * kLightPass, options.number);
-  const Sequence<Emitter::kDimensions> sequence(shift);
+  const Sequence<kNumbers> sequence(shift);
   const int64_t blocks = (options.paths + kBlock - 1) / kBlock;
   std::vector<std::vector<Splat>> splats(static_cast<size_t>(std::min(kWave, blocks)));
   std::vector<PathFaults> lost(splats.size());
@@ -65,7 +65,7 @@ void LightTracer::trace(const Options& options, const Sink& sink, PathFaults& fa
                     kLightStreams + options.pass * kLightPass + 1 + static_cast<uint32_t>(wave + i),
                     options.number);
       for (int64_t path = first; path < last; ++path) {
-        trace_path(emitter_.emit(sequence.at(path)), options.faint, random, splats[slot], lost[slot]);
+        trace_path(sequence.at(path), options.faint, random, splats[slot], lost[slot]);
       }
     });
     for (int64_t i = 0; i < count; ++i) {
@@ -76,8 +76,10 @@ void LightTracer::trace(const Options& options, const Sink& sink, PathFaults& fa
   }
 }
 
-void LightTracer::trace_path(const LightRay& light, double faint, Random& random, std::vector<Splat>& splats,
-                             PathFaults& faults) const {
+void LightTracer::trace_path(const std::array<double, kNumbers>& u, double faint, Random& random,
+                             std::vector<Splat>& splats, PathFaults& faults) const {
+  const LightRay light = emitter_.emit(std::span(u).first<Emitter::kDimensions>());
+  const FlightNumbers first{u[Emitter::kDimensions], u[Emitter::kDimensions + 1]};
   const double brightest = largest(light.flux);
   if (!(brightest > 0.0)) return;
   Walk walk(world_, random);
@@ -87,7 +89,7 @@ void LightTracer::trace_path(const LightRay& light, double faint, Random& random
   double thin = kThin * brightest;
   for (bool scattered = false;; scattered = true) {
     double length = 0.0;
-    const End end = walk.fly(ray, response, beta, length);
+    const End end = walk.fly(ray, response, beta, length, scattered ? nullptr : &first);
     if (end == End::kLost) ++faults.lost;
     if (end != End::kScattered) break;
     if (!scattered) ++faults.paths;

@@ -52,8 +52,11 @@ class LightTracer {
   void trace(const Options& options, const Sink& sink, PathFaults& faults) const;
 
  private:
-  void trace_path(const LightRay& ray, double faint, Random& random, std::vector<Splat>& splats,
-                  PathFaults& faults) const;
+  /// Of a path's numbers those that come from a sequence: where it starts, and its first flight inside.
+  static constexpr size_t kNumbers = Emitter::kDimensions + 2;
+
+  void trace_path(const std::array<double, kNumbers>& u, double faint, Random& random,
+                  std::vector<Splat>& splats, PathFaults& faults) const;
   void join(const Ray& ray, const Rgb& beta, double faint, Random& random, std::vector<Splat>& splats) const;
 
   const World& world_;
