@@ -16,14 +16,11 @@ namespace {
 
 using render::Environment;
 using render::Illumination;
+using render::mean;
 using render::Rgb;
 using render::Vec3;
 
 constexpr double kPi = std::numbers::pi;
-
-double mean(const Rgb& c) {
-  return (c[0] + c[1] + c[2]) / 3.0;
-}
 
 void add_uniform(Illumination& light) {
   light.environment = Environment(Rgb{1.0, 1.0, 1.0});
@@ -39,7 +36,7 @@ void add_flash_and_room(Illumination& light) {
   Random random(1, Purpose::kTest, 0, 0);
   light.environment = render::make_room(random);
   const double wanted = 0.2 * light.flash.irradiance({});
-  light.environment.scale(wanted / mean(light.environment.irradiance({0.0, 0.0, 1.0})));
+  light.environment.scale(wanted / (mean(light.environment.fluence()) / 4.0));
 }
 
 /// Walls of radiance 1 to 2 and four lamps of 1e5, each about 3 degrees wide; scaled to the fluence of

@@ -24,10 +24,6 @@ constexpr double kSafety = 2.0;
 constexpr uint32_t kLightStreams = 0x80000000U;
 constexpr uint32_t kLightPass = 0x20000000U;
 
-Rgb first_column(const std::array<Stokes, 3>& rows) {
-  return {rows[0][0], rows[1][0], rows[2][0]};
-}
-
 /// Of the ball around the mesh.
 double reach(const Mesh& mesh, const Vec3& centre) {
   double square = 0.0;
@@ -86,7 +82,7 @@ void LightTracer::trace_path(const std::array<double, kNumbers>& u, double faint
   Ray ray{.origin = light.origin, .direction = light.direction, .inside = false};
   Response<1> response = scalar_response(ray.direction);
   Rgb beta = light.flux;
-  double thin = kThin * brightest;
+  const double thin = kThin * brightest;
   for (bool scattered = false;; scattered = true) {
     double length = 0.0;
     const End end = walk.fly(ray, response, beta, length, scattered ? nullptr : &first);
@@ -146,10 +142,7 @@ void LightTracer::join(const Ray& ray, const Rgb& beta, double faint, Random& ra
         geometry.occluded(geometry.start(hit, -sight.direction, false), -sight.direction, false, kInfinity)) {
       return;
     }
-    const CameraRay camera = camera_.ray(sight.x, sight.y);
-    Response<3> rows;
-    for (size_t i = 0; i < 3; ++i) rows.pure[i][i] = rows.scattered[i][i] = 1.0;
-    rows.axis = camera.axis;
+    Response<3> rows = camera_response(camera_.ray(sight.x, sight.y).axis);
     rows.transmit({.direction = sight.direction, .normal = sight.normal, .fresnel = f});
     const Rgb column = first_column(rows.scattered);
     Splat splat{

@@ -116,4 +116,22 @@ void Response<R>::transmit(const SurfaceEvent& event) {
 template struct Response<1>;
 template struct Response<3>;
 
+Response<3> camera_response(const Vec3& axis) {
+  Response<3> response;
+  for (size_t i = 0; i < 3; ++i) response.pure[i][i] = response.scattered[i][i] = 1.0;
+  response.axis = axis;
+  return response;
+}
+
+Response<1> scalar_response(const Vec3& direction) {
+  Response<1> response;
+  response.pure[0] = response.scattered[0] = {1.0, 0.0, 0.0, 0.0};
+  response.axis = basis_around(direction).first;
+  return response;
+}
+
+std::array<double, 3> first_column(const std::array<Stokes, 3>& rows) {
+  return {rows[0][0], rows[1][0], rows[2][0]};
+}
+
 }  // namespace opaline::render

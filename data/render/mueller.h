@@ -58,4 +58,11 @@ struct Response {
 extern template struct Response<1>;
 extern template struct Response<3>;
 
+/// Of a camera whose polariser's 0 degrees are along `axis`: S0, S1 and S2 as they arrive.
+Response<3> camera_response(const Vec3& axis);
+/// Of unpolarised light that goes on along the unit vector `direction`.
+Response<1> scalar_response(const Vec3& direction);
+/// What the rows make of unpolarised light.
+std::array<double, 3> first_column(const std::array<Stokes, 3>& rows);
+
 }  // namespace opaline::render

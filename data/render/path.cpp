@@ -26,11 +26,6 @@ void add(StokesRgb& sum, const Rgb& rows, const Rgb& light) {
     for (size_t c = 0; c < 3; ++c) sum[i][c] += rows[i] * light[c];
 }
 
-/// What the three rows make of unpolarised light.
-Rgb first_column(const std::array<Stokes, 3>& rows) {
-  return {rows[0][0], rows[1][0], rows[2][0]};
-}
-
 /// A walker through one world; it exists for the length of one camera sample.
 class Walker {
  public:
@@ -225,9 +220,7 @@ PathSample Walker::run(const CameraRay& camera, const PathParts& parts, const Fi
   }
   const double cosine = -dot(camera.direction, hit.normal);
 
-  Response<3> rows;
-  for (size_t i = 0; i < 3; ++i) rows.pure[i][i] = rows.scattered[i][i] = 1.0;
-  rows.axis = camera.axis;
+  const Response<3> rows = camera_response(camera.axis);
   const Fresnel f = fresnel(cosine, world_.index);
   const SurfaceEvent event{
       .direction = camera.direction, .normal = hit.normal, .fresnel = f, .weight = 1.0, .inside = false};

@@ -86,13 +86,6 @@ template void Walk::cross(const Hit&, Ray&, Response<3>&);
 template End Walk::fly(Ray&, Response<1>&, Rgb&, double&, const FlightNumbers*);
 template End Walk::fly(Ray&, Response<3>&, Rgb&, double&, const FlightNumbers*);
 
-Response<1> scalar_response(const Vec3& direction) {
-  Response<1> response;
-  response.pure[0] = response.scattered[0] = {1.0, 0.0, 0.0, 0.0};
-  response.axis = basis_around(direction).first;
-  return response;
-}
-
 Vec3 reflect(const Vec3& direction, const Vec3& normal) {
   return normalised(direction - normal * (2.0 * dot(direction, normal)));
 }

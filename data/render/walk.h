@@ -104,9 +104,6 @@ class Walk {
   Random& random_;
 };
 
-/// Of unpolarised light that goes on along the unit vector `direction`.
-Response<1> scalar_response(const Vec3& direction);
-
 /// The unit direction of the ray that the surface reflects, and of the one that it refracts.
 Vec3 reflect(const Vec3& direction, const Vec3& normal);
 /// `normal` towards the side that `direction` comes from, `eta` = index behind / index before.

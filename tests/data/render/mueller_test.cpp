@@ -15,13 +15,6 @@ Stokes row_times(const Stokes& row, const Mueller& m) {
   return result;
 }
 
-Response<3> camera_response(const Vec3& axis) {
-  Response<3> r;
-  for (size_t i = 0; i < 3; ++i) r.pure[i][i] = r.scattered[i][i] = 1.0;
-  r.axis = axis;
-  return r;
-}
-
 }  // namespace
 
 TEST_CASE("a frame turned by 45 degrees exchanges S1 and S2") {
