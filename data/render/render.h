@@ -44,7 +44,7 @@ struct Savings {
   bool pixels = true;           ///< with `error`: each pixel its own number of samples
   bool guide = true;            ///< directions to the light learned beforehand
   bool guide_by_need = true;    ///< .. unless light comes from everywhere
-  bool light_paths = true;      ///< scattered light traced from its source, unless it comes from everywhere
+  bool light_paths = true;      ///< scattered light traced from its source, where there is a guide
   bool bounded_queries = true;  ///< queries end where the free flight does
   bool even_samples = true;     ///< a low-discrepancy sequence over a pixel's samples
 };
