@@ -51,7 +51,7 @@ status=0
 [[ $status -eq 2 ]] || fail "an unknown scene gave exit code $status"
 expect "$folder/error.txt" "no scene is called 'nowhere'; there are uniform"
 
-printf '[render]\ntrain = 4\nsize = 16\nspp = 4\nphotons = 500\n' > "$folder/noise.toml"
+printf '[render]\ntrain = 4\nsize = 24\nspp = 4\nphotons = 500\nfamilies = ["harmonics"]\n' > "$folder/noise.toml"
 "$opaline" bench noise "$folder/noise.toml" --scenes 2 > "$folder/noise.txt"
 expect "$folder/noise.txt" 'root mean square over scenes: S0 .* %, DoP 0\.'
 for spp in 4 64; do
