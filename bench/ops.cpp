@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "bench/machine.h"
 #include "core/autograd.h"
+#include "core/check/machine.h"
 #include "core/check/op_case.h"
 #include "core/check/run.h"
 #include "core/parallel.h"

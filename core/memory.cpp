@@ -1,5 +1,7 @@
 #include "core/memory.h"
 
+#include <sys/mman.h>
+
 #include <algorithm>
 #include <cstdlib>
 
@@ -18,6 +20,19 @@ int64_t bucket(int64_t bytes) {
   int64_t step = kAlignment;
   while (step * 16 <= bytes) step *= 2;
   return std::max(kAlignment, (bytes + step - 1) / step * step);
+}
+
+/// Memory from the system, or null. Large blocks ask for huge pages: transforms and gradients walk through
+/// dozens of places at once, more than the translation cache holds of small pages.
+std::byte* obtain(int64_t bytes) {
+  constexpr int64_t kHugePage = int64_t{1} << 21;
+  const bool huge = bytes >= 2 * kHugePage;
+  const int64_t alignment = huge ? kHugePage : kAlignment;
+  const int64_t size = (bytes + alignment - 1) / alignment * alignment;
+  void* const block = std::aligned_alloc(static_cast<size_t>(alignment), static_cast<size_t>(size));
+  // A wish: where the system has no huge pages, small ones do.
+  if (huge && block != nullptr) madvise(block, static_cast<size_t>(size), MADV_HUGEPAGE);
+  return static_cast<std::byte*>(block);
 }
 
 }  // namespace
@@ -41,11 +56,11 @@ std::shared_ptr<std::byte> Pool::allocate(int64_t bytes) {
     peak_ = std::max(peak_, in_use_);
   }
   if (block == nullptr) {
-    block = static_cast<std::byte*>(std::aligned_alloc(kAlignment, static_cast<size_t>(size)));
+    block = obtain(size);
     if (block == nullptr) {
       // Blocks of other sizes may be what is missing.
       release_cached();
-      block = static_cast<std::byte*>(std::aligned_alloc(kAlignment, static_cast<size_t>(size)));
+      block = obtain(size);
     }
     if (block == nullptr) {
       const std::lock_guard lock(mutex_);

@@ -55,12 +55,11 @@ HWY_ATTR void dot(const DotTile<T>& t) {
   }
 }
 
-template <class T, int kM, int kVectors, bool kTail>
+template <class T, int kM, int kVectors>
 HWY_ATTR void outer(const OuterTile<T>& t) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
-  const auto mask = hn::FirstN(d, static_cast<size_t>(t.columns - (kVectors - 1) * lanes));
   V acc[kM][kVectors];
   for (int v = 0; v < kVectors; ++v) {
     for (int i = 0; i < kM; ++i) acc[i][v] = hn::Zero(d);
@@ -70,10 +69,7 @@ HWY_ATTR void outer(const OuterTile<T>& t) {
     const T* b = t.b + y * t.b_line;
     for (int64_t x = 0; x < t.pixels; ++x, a += t.a_stride, b += t.b_stride) {
       V row[kVectors];
-      for (int v = 0; v < kVectors; ++v) {
-        row[v] =
-            kTail && v == kVectors - 1 ? hn::MaskedLoad(mask, d, b + v * lanes) : hn::LoadU(d, b + v * lanes);
-      }
+      for (int v = 0; v < kVectors; ++v) row[v] = hn::LoadU(d, b + v * lanes);
 #pragma GCC unroll 16
       for (int i = 0; i < kM; ++i) {
         const V value = hn::Set(d, a[i]);
@@ -81,10 +77,18 @@ HWY_ATTR void outer(const OuterTile<T>& t) {
       }
     }
   }
-  alignas(64) T tile[kVectors * (64 / sizeof(T))] = {};
-  for (int i = 0; i < kM; ++i) {
-    for (int v = 0; v < kVectors; ++v) hn::Store(acc[i][v], d, tile + v * lanes);
-    for (int64_t j = 0; j < t.columns; ++j) t.c[i * t.c_stride + j] += static_cast<double>(tile[j]);
+  for (int v = 0; v < kVectors; ++v) {
+    const int64_t left = t.columns - v * lanes;
+    const auto mask = hn::FirstN(d, static_cast<size_t>(left < 0 ? 0 : left));
+    for (int i = 0; i < kM; ++i) {
+      T* const c = t.c + i * t.c_stride + v * lanes;
+      if (left >= lanes) {
+        hn::StoreU(t.accumulate ? hn::Add(hn::LoadU(d, c), acc[i][v]) : acc[i][v], d, c);
+      } else if (left > 0) {
+        hn::BlendedStore(t.accumulate ? hn::Add(hn::MaskedLoad(mask, d, c), acc[i][v]) : acc[i][v], mask, d,
+                         c);
+      }
+    }
   }
 }
 
@@ -94,10 +98,10 @@ constexpr auto dot_table(std::index_sequence<kI...>) {
       &dot<T, static_cast<int>(kI) + 1, kVectors>...};
 }
 
-template <class T, int kVectors, bool kTail, size_t... kI>
+template <class T, int kVectors, size_t... kI>
 constexpr auto outer_table(std::index_sequence<kI...>) {
   return std::array<void (*)(const OuterTile<T>&), sizeof...(kI)>{
-      &outer<T, static_cast<int>(kI) + 1, kVectors, kTail>...};
+      &outer<T, static_cast<int>(kI) + 1, kVectors>...};
 }
 
 using Rows = std::make_index_sequence<kRows>;
@@ -111,15 +115,10 @@ void run_dot(const DotTile<T>& tile, int64_t vectors) {
 
 template <class T>
 void run_outer(const OuterTile<T>& tile) {
-  static constexpr auto kOneTail = outer_table<T, 1, true>(Rows{});
-  static constexpr auto kTwoTail = outer_table<T, 2, true>(Rows{});
-  static constexpr auto kOne = outer_table<T, 1, false>(Rows{});
-  static constexpr auto kTwo = outer_table<T, 2, false>(Rows{});
+  static constexpr auto kOne = outer_table<T, 1>(Rows{});
+  static constexpr auto kTwo = outer_table<T, 2>(Rows{});
   const auto lanes = static_cast<int64_t>(hn::Lanes(hn::ScalableTag<T>()));
-  const auto row = static_cast<size_t>(tile.rows - 1);
-  const bool tail = tile.columns % lanes != 0;
-  if (tile.columns <= lanes) return (tail ? kOneTail : kOne)[row](tile);
-  (tail ? kTwoTail : kTwo)[row](tile);
+  (tile.columns <= lanes ? kOne : kTwo)[static_cast<size_t>(tile.rows - 1)](tile);
 }
 
 template <class T>

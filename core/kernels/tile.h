@@ -25,22 +25,23 @@ struct DotTile {
   int64_t columns = 0;  ///< at most the panel's width
 };
 
-/// c[i][j] += sum_{y < lines} sum_{x < pixels} a[y*a_line + x*a_stride + i] * b[y*b_line + x*b_stride + j]
-/// for i < rows, j < columns, in double: the gradient of a weight, summed over pixels.
+/// c[i][j] = sum_{x < pixels} a[x*a_stride + i] * b[x*b_stride + j] for i < rows, j < columns, added to what
+/// is there where `accumulate`: the gradient of a weight, summed over pixels.
 template <class T>
 struct OuterTile {
   const T* a = nullptr;
   int64_t a_line = 0;
   int64_t a_stride = 0;
-  const T* b = nullptr;
+  const T* b = nullptr;  ///< rows of whole vectors: readable up to the width
   int64_t b_line = 0;
   int64_t b_stride = 0;
   int64_t lines = 1;
   int64_t pixels = 0;
-  double* c = nullptr;
+  T* c = nullptr;
   int64_t c_stride = 0;
-  int64_t rows = 0;
-  int64_t columns = 0;  ///< at most Tiles::width()
+  int64_t rows = 0;     ///< at most Tiles::rows
+  int64_t columns = 0;  ///< at most the width
+  bool accumulate = false;
 };
 
 /// The tiles of the best instruction set that this machine has.
@@ -49,7 +50,7 @@ struct Tiles {
   int64_t rows = 0;                                                ///< most rows of a tile
   int64_t lanes = 0;                                               ///< elements of a vector
   void (*dot)(const DotTile<T>& tile, int64_t vectors) = nullptr;  ///< panel width = vectors * lanes; 1 or 2
-  void (*outer)(const OuterTile<T>& tile) = nullptr;
+  void (*outer)(const OuterTile<T>& tile) = nullptr;               ///< one vector where `columns` fit it
   const char* instruction_set = "";
 
   int64_t width() const { return 2 * lanes; }

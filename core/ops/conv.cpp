@@ -5,6 +5,7 @@
 
 #include "core/autograd.h"
 #include "core/kernels/conv.h"
+#include "core/kernels/gemm.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -41,12 +42,6 @@ Tensor bias_gradient(const Tensor& dy) {
   });
 }
 
-/// Source row of padded row i: mirrored at the ends, which are not repeated.
-int64_t reflect(int64_t i, int64_t size) {
-  if (i < 0) return -i;
-  return i < size ? i : 2 * (size - 1) - i;
-}
-
 }  // namespace
 
 Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const Conv2dOptions& options) {
@@ -57,8 +52,10 @@ Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const C
   if (options.stride < 1 || options.padding < 0) {
     fail("conv2d", "stride {} and padding {}; expected at least 1 and 0", options.stride, options.padding);
   }
-  if (options.padding_mode == Padding::kReflect && options.padding > 0) {
-    return conv2d(reflection_pad2d(x, options.padding), weight, bias, {.stride = options.stride});
+  const bool reflect = options.padding_mode == Padding::kReflect && options.padding > 0;
+  if (reflect && (options.padding >= x.size(1) || options.padding >= x.size(2))) {
+    fail("reflection_pad2d", "padding {} needs 0 <= padding < height and width (input {})", options.padding,
+         to_string(x.shape()));
   }
   const kernels::ConvShape s{.n = x.size(0),
                              .h = x.size(1),
@@ -68,34 +65,37 @@ Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const C
                              .kernel_h = weight.size(2),
                              .kernel_w = weight.size(3),
                              .stride = options.stride,
-                             .padding = options.padding};
+                             .padding = options.padding,
+                             .reflect = reflect};
   if (s.h + 2 * s.padding < s.kernel_h || s.w + 2 * s.padding < s.kernel_w) {
     fail("conv2d", "input {} with padding {} is smaller than the kernel {}x{}", to_string(x.shape()),
          s.padding, s.kernel_h, s.kernel_w);
   }
+  const Numerics numerics = current_numerics();
   Tensor y({s.n, s.out_h(), s.out_w(), s.out}, x.dtype());
   dispatch_floating("conv2d", x.dtype(), [&]<class T>() {
-    kernels::conv_forward(s, x.data<T>(), weight.data<T>(), bias.defined() ? bias.data<T>() : nullptr,
-                          y.data<T>());
+    kernels::conv_forward(s, numerics, x.data<T>(), weight.data<T>(),
+                          bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
   });
   if (!should_record({&x, &weight, &bias})) return y;
-  return record("conv2d", y, {x, weight, bias},
-                [s, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
-                  std::vector<Tensor> grads(3);
-                  dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
-                    if (needs[0]) {
-                      grads[0] = Tensor(x.shape(), x.dtype());
-                      kernels::conv_input_gradient(s, dy.data<T>(), weight.data<T>(),
-                                                   static_cast<const T*>(nullptr), grads[0].data<T>());
-                    }
-                    if (needs[1]) {
-                      grads[1] = Tensor(weight.shape(), weight.dtype());
-                      kernels::conv_weight_gradient(s, x.data<T>(), dy.data<T>(), grads[1].data<T>());
-                    }
-                  });
-                  if (needs[2]) grads[2] = bias_gradient(dy);
-                  return grads;
-                });
+  return record(
+      "conv2d", y, {x, weight, bias},
+      [s, numerics, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
+        std::vector<Tensor> grads(3);
+        dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
+          if (needs[0]) {
+            grads[0] = Tensor(x.shape(), x.dtype());
+            kernels::conv_input_gradient(s, numerics, dy.data<T>(), weight.data<T>(),
+                                         static_cast<const T*>(nullptr), grads[0].data<T>());
+          }
+          if (needs[1]) {
+            grads[1] = Tensor(weight.shape(), weight.dtype());
+            kernels::conv_weight_gradient(s, numerics, x.data<T>(), dy.data<T>(), grads[1].data<T>());
+          }
+        });
+        if (needs[2]) grads[2] = bias_gradient(dy);
+        return grads;
+      });
 }
 
 // The forward pass is the input gradient of a convolution whose input is this one's output, and the other way
@@ -126,29 +126,31 @@ Tensor conv_transpose2d(const Tensor& x, const Tensor& weight, const Tensor& bia
                              .kernel_w = weight.size(3),
                              .stride = options.stride,
                              .padding = options.padding};
+  const Numerics numerics = current_numerics();
   Tensor y({s.n, s.h, s.w, s.in}, x.dtype());
   dispatch_floating("conv_transpose2d", x.dtype(), [&]<class T>() {
-    kernels::conv_input_gradient(s, x.data<T>(), weight.data<T>(), bias.defined() ? bias.data<T>() : nullptr,
-                                 y.data<T>());
+    kernels::conv_input_gradient(s, numerics, x.data<T>(), weight.data<T>(),
+                                 bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
   });
   if (!should_record({&x, &weight, &bias})) return y;
-  return record("conv_transpose2d", y, {x, weight, bias},
-                [s, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
-                  std::vector<Tensor> grads(3);
-                  dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
-                    if (needs[0]) {
-                      grads[0] = Tensor(x.shape(), x.dtype());
-                      kernels::conv_forward(s, dy.data<T>(), weight.data<T>(), static_cast<const T*>(nullptr),
-                                            grads[0].data<T>());
-                    }
-                    if (needs[1]) {
-                      grads[1] = Tensor(weight.shape(), weight.dtype());
-                      kernels::conv_weight_gradient(s, dy.data<T>(), x.data<T>(), grads[1].data<T>());
-                    }
-                  });
-                  if (needs[2]) grads[2] = bias_gradient(dy);
-                  return grads;
-                });
+  return record(
+      "conv_transpose2d", y, {x, weight, bias},
+      [s, numerics, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
+        std::vector<Tensor> grads(3);
+        dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
+          if (needs[0]) {
+            grads[0] = Tensor(x.shape(), x.dtype());
+            kernels::conv_forward(s, numerics, dy.data<T>(), weight.data<T>(), static_cast<const T*>(nullptr),
+                                  grads[0].data<T>());
+          }
+          if (needs[1]) {
+            grads[1] = Tensor(weight.shape(), weight.dtype());
+            kernels::conv_weight_gradient(s, numerics, dy.data<T>(), x.data<T>(), grads[1].data<T>());
+          }
+        });
+        if (needs[2]) grads[2] = bias_gradient(dy);
+        return grads;
+      });
 }
 
 Tensor reflection_pad2d(const Tensor& x, int64_t padding) {
@@ -161,38 +163,21 @@ Tensor reflection_pad2d(const Tensor& x, int64_t padding) {
   const int64_t out_h = h + 2 * p, out_w = w + 2 * p;
   Tensor y({n, out_h, out_w, c}, x.dtype());
   dispatch_floating("reflection_pad2d", x.dtype(), [&]<class T>() {
-    const T* const from = x.data<T>();
-    T* const to = y.data<T>();
+    const kernels::Image<T> image{x.data<T>(), n, h, w, c, p};
     parallel_blocks(n * out_h, 16, [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) {
-        const int64_t row = i / out_h * h + reflect(i % out_h - p, h);
-        for (int64_t j = 0; j < out_w; ++j) {
-          std::copy_n(from + (row * w + reflect(j - p, w)) * c, c, to + (i * out_w + j) * c);
-        }
+        image.copy_row(i / out_h, i % out_h - p, -p, out_w, y.data<T>() + i * out_w * c);
       }
     });
   });
   if (!should_record({&x})) return y;
-  return record("reflection_pad2d", y, {x},
-                [n, h, w, c, p, out_h, out_w](const Tensor& dy, std::span<const char>) {
-                  Tensor dx = Tensor::zeros({n, h, w, c}, dy.dtype());
-                  dispatch_floating("reflection_pad2d", dy.dtype(), [&]<class T>() {
-                    const T* const from = dy.data<T>();
-                    T* const to = dx.data<T>();
-                    // Several padded pixels fold onto one: an image has one owner.
-                    parallel_for(n, [&](int64_t image) {
-                      for (int64_t i = 0; i < out_h; ++i) {
-                        const int64_t row = image * h + reflect(i - p, h);
-                        for (int64_t j = 0; j < out_w; ++j) {
-                          T* const target = to + (row * w + reflect(j - p, w)) * c;
-                          const T* const source = from + ((image * out_h + i) * out_w + j) * c;
-                          for (int64_t k = 0; k < c; ++k) target[k] += source[k];
-                        }
-                      }
-                    });
-                  });
-                  return std::vector<Tensor>{dx};
-                });
+  return record("reflection_pad2d", y, {x}, [n, h, w, c, p](const Tensor& dy, std::span<const char>) {
+    Tensor dx({n, h, w, c}, dy.dtype());
+    dispatch_floating("reflection_pad2d", dy.dtype(), [&]<class T>() {
+      kernels::fold_reflection(kernels::Image<T>{dy.data<T>(), n, h + 2 * p, w + 2 * p, c}, p, dx.data<T>());
+    });
+    return std::vector<Tensor>{dx};
+  });
 }
 
 }  // namespace opaline

@@ -4,7 +4,8 @@
 #include <vector>
 
 #include "core/autograd.h"
-#include "core/kernels/conv.h"
+#include "core/kernels/direct.h"
+#include "core/kernels/gemm.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -44,7 +45,7 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
                       grads[1] = Tensor(weight.shape(), weight.dtype());
                       const kernels::ConvShape s{
                           .n = 1, .h = 1, .w = rows, .in = in, .out = out, .kernel_h = 1, .kernel_w = 1};
-                      kernels::conv_weight_gradient(s, x.data<T>(), dy.data<T>(), grads[1].data<T>());
+                      kernels::direct_weight_gradient(s, x.data<T>(), dy.data<T>(), grads[1].data<T>());
                     }
                     if (needs[2]) {
                       std::vector<double> sums(static_cast<size_t>(out));

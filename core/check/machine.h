@@ -3,7 +3,7 @@
 
 #include <string>
 
-namespace opaline::bench {
+namespace opaline {
 
 struct Machine {
   double gflops = 0.0;                ///< float32 fused multiply-adds on all threads, two operations each
@@ -14,4 +14,4 @@ struct Machine {
 /// Best of a few runs, with the threads that parallel_for uses. Takes about a second.
 Machine measure_machine();
 
-}  // namespace opaline::bench
+}  // namespace opaline

@@ -1,4 +1,4 @@
-#include "bench/machine.h"
+#include "core/check/machine.h"
 
 #include <algorithm>
 #include <chrono>
@@ -9,12 +9,12 @@
 #include "core/parallel.h"
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "bench/machine.cpp"
+#define HWY_TARGET_INCLUDE "core/check/machine.cpp"
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
 
 HWY_BEFORE_NAMESPACE();
-namespace opaline::bench {
+namespace opaline {
 namespace HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
@@ -57,11 +57,11 @@ const char* name() {
 }
 
 }  // namespace HWY_NAMESPACE
-}  // namespace opaline::bench
+}  // namespace opaline
 HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
-namespace opaline::bench {
+namespace opaline {
 
 HWY_EXPORT(multiply_adds);
 HWY_EXPORT(lanes);
@@ -115,5 +115,5 @@ Machine measure_machine() {
           .instruction_set = HWY_DYNAMIC_DISPATCH(name)()};
 }
 
-}  // namespace opaline::bench
+}  // namespace opaline
 #endif

@@ -1,0 +1,246 @@
+#!/usr/bin/python3
+"""The engine's peer: the same networks in PyTorch (scripts/parity/networks.py), training steps and forward passes.
+
+    bench/peers/step_pytorch.py --net normal stage2 --size 256 --batch 2
+    bench/peers/step_pytorch.py --net cascade --forward --size 256 --batch 1
+
+For every network `opaline bench step` and PyTorch take turns on the same number of threads, so that a loaded machine
+slows both; what is printed are medians over all turns. PyTorch runs the faster of its memory formats (contiguous and
+channels last), with oneDNN, and in inference mode where only the forward pass is timed. Memory is what a step needs
+beyond parameters and their gradients: for PyTorch the growth of the process's peak over its size before the first
+forward pass, less the gradients; for opaline the peak of its pool, less the same.
+
+Packages: scripts/setup.sh --peers. Any newer PyTorch of a virtual environment can run it too.
+"""
+import argparse
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import time
+
+import torch
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts" / "parity"))
+
+import networks  # noqa: E402
+
+STAGES = ("stage1", "stage2", "cascade")
+IMAGE_CHANNELS, BSDF_CHANNELS, SH_VALUES, SSS_VALUES = 21, 12, 27, 8
+
+
+def parse_arguments():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--net", nargs="+", default=["normal", "sss", "stage1", "stage2"],
+                        choices=networks.NAMES + STAGES)
+    parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--batch", type=int, default=2)
+    parser.add_argument("--width", type=int, default=64)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each side")
+    parser.add_argument("--repeats", type=int, default=3, help="timed runs a turn")
+    parser.add_argument("--forward", action="store_true", help="the forward pass alone, in evaluation mode")
+    parser.add_argument("--numerics", help="opaline's choice of algorithms: strict, balanced or fast")
+    parser.add_argument("--opaline", default=str(ROOT / "build" / "release" / "opaline"))
+    parser.add_argument("--json", action="store_true", help="one JSON object a network")
+    return parser.parse_args()
+
+
+class Stage:
+    """The networks of a stage and the losses of the release."""
+
+    def __init__(self, name, arguments):
+        size, width = arguments.size, arguments.width
+        wanted = ["normal", "depth", "illumination"]
+        if name != "stage1":
+            wanted += ["illumination_decoder", "sss"]
+        if name == "stage2":
+            wanted.append("reconstruction")
+        self.nets = torch.nn.ModuleDict({n: networks.make(n, image_size=size, width=width) for n in wanted})
+        batch = arguments.batch
+        self.image = torch.rand(batch, IMAGE_CHANNELS, size, size) * 2 - 1
+        self.bsdf = torch.rand(batch, BSDF_CHANNELS, size, size) * 2 - 1
+        self.mask = torch.ones(batch, 1, size, size)
+        self.normal = torch.rand(batch, 3, size, size)
+        self.depth = torch.rand(batch, 1, size, size)
+        self.sh = torch.rand(batch, SH_VALUES)
+        self.sss = torch.rand(batch, SSS_VALUES)
+
+    def parameters(self):
+        return self.nets.parameters()
+
+    def modules(self):
+        return self.nets.modules()
+
+    def to(self, memory_format):
+        self.nets.to(memory_format=memory_format)
+        self.image = self.image.contiguous(memory_format=memory_format)
+        self.bsdf = self.bsdf.contiguous(memory_format=memory_format)
+
+    def train(self, on):
+        self.nets.train(on)
+
+    def masked_l1(self, x, target):
+        error = (x - target).abs() * self.mask
+        return (error.sum((1, 2, 3)) / (self.mask.sum((1, 2, 3)) * x.shape[1])).mean()
+
+    def forward(self):
+        normal = self.nets["normal"](self.image)
+        depth = self.nets["depth"](self.image)
+        sh = self.nets["illumination"](self.image)
+        outputs = [normal, depth, sh]
+        if "sss" in self.nets:
+            map_ = self.nets["illumination_decoder"](sh)
+            sss = self.nets["sss"](torch.cat([map_, normal, depth, self.image], dim=1))
+            outputs.append(sss)
+        if "reconstruction" in self.nets:
+            values = sss[:, :, None, None].expand(-1, -1, *self.image.shape[2:])
+            outputs.append(self.nets["reconstruction"](torch.cat([self.bsdf, values], dim=1)))
+        return outputs
+
+    def backward(self, outputs):
+        mse = torch.nn.functional.mse_loss
+        loss = (100 * self.masked_l1(outputs[0], self.normal) + self.masked_l1(outputs[1], self.depth) +
+                0.1 * mse(outputs[2], self.sh))
+        if len(outputs) > 3:
+            loss = loss + mse(outputs[3], self.sss)
+        if len(outputs) > 4:
+            loss = loss + self.masked_l1(outputs[4], self.bsdf)
+        loss.backward()
+
+
+class Single:
+    """One network; the gradient of the sum of its result times a cotangent."""
+
+    def __init__(self, name, arguments):
+        self.net = networks.make(name, image_size=arguments.size, width=arguments.width)
+        self.x = torch.rand(networks.input_shape(name, arguments.batch, arguments.size)) * 2 - 1
+        self.cotangent = None
+
+    def parameters(self):
+        return self.net.parameters()
+
+    def modules(self):
+        return self.net.modules()
+
+    def to(self, memory_format):
+        self.net.to(memory_format=memory_format)
+        if self.x.dim() == 4:
+            self.x = self.x.contiguous(memory_format=memory_format)
+
+    def train(self, on):
+        self.net.train(on)
+
+    def forward(self):
+        return self.net(self.x)
+
+    def backward(self, y):
+        if self.cotangent is None:
+            self.cotangent = torch.rand_like(y) * 2 - 1
+        y.backward(self.cotangent)
+
+
+def run_peer(step, forward_only):
+    """Seconds of one run."""
+    begin = time.perf_counter()
+    if forward_only:
+        with torch.inference_mode():
+            step.forward()
+    else:
+        step.backward(step.forward())
+    seconds = time.perf_counter() - begin
+    for parameter in step.parameters():
+        parameter.grad = None
+    return seconds
+
+
+def resident(field):
+    with open("/proc/self/status", encoding="ascii") as file:
+        for line in file:
+            if line.startswith(field):
+                return int(line.split()[1]) * 1024
+    raise RuntimeError(f"no {field} in /proc/self/status")
+
+
+def reset_peak():
+    with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
+        file.write("5")
+
+
+def peer_memory(step, forward_only):
+    """Bytes of a run beyond what was there before it and the gradients."""
+    reset_peak()
+    before = resident("VmRSS")
+    run_peer(step, forward_only)
+    gradients = 0 if forward_only else sum(p.numel() * p.element_size() for p in step.parameters())
+    return resident("VmHWM") - before - gradients
+
+
+def choose_format(step, forward_only):
+    """The faster memory format, and its name."""
+    timings = {}
+    for name, memory_format in (("contiguous", torch.contiguous_format), ("channels last", torch.channels_last)):
+        step.to(memory_format)
+        run_peer(step, forward_only)
+        timings[name] = (min(run_peer(step, forward_only) for _ in range(2)), memory_format)
+    best = min(timings, key=lambda name: timings[name][0])
+    step.to(timings[best][1])
+    return best
+
+
+def run_ours(arguments, net):
+    command = [arguments.opaline, "bench", "step", "--net", net, "--size", str(arguments.size), "--batch",
+               str(arguments.batch), "--width", str(arguments.width), "--repeats", str(arguments.repeats), "--json"]
+    if arguments.forward:
+        command.append("--forward")
+    if arguments.numerics:
+        command += ["--numerics", arguments.numerics]
+    environment = dict(os.environ, OMP_NUM_THREADS=str(arguments.threads))
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout)
+
+
+def compare(arguments, net):
+    torch.manual_seed(1)
+    step = Stage(net, arguments) if net in STAGES else Single(net, arguments)
+    step.train(not arguments.forward)
+    for module in step.modules():
+        if isinstance(module, torch.nn.ReLU):
+            module.inplace = True
+    memory = peer_memory(step, arguments.forward)
+    memory_format = choose_format(step, arguments.forward)
+    ours, peer = [], []
+    for _ in range(arguments.rounds):
+        ours.append(run_ours(arguments, net))
+        peer += [run_peer(step, arguments.forward) for _ in range(arguments.repeats)]
+    ours_seconds = statistics.median(o["seconds"] for o in ours)
+    peer_seconds = statistics.median(peer)
+    return {"net": net, "ours_seconds": ours_seconds, "peer_seconds": peer_seconds,
+            "ratio": peer_seconds / ours_seconds, "ours_gflops": statistics.median(o["gflops"] for o in ours),
+            "ours_bytes": ours[0].get("beyond_parameters_bytes", ours[0]["peak_bytes"]),
+            "peer_bytes": memory, "peer_format": memory_format}
+
+
+def main():
+    arguments = parse_arguments()
+    torch.set_num_threads(arguments.threads)
+    what = "forward" if arguments.forward else "forward and backward"
+    if not arguments.json:
+        print(f"{what}, {arguments.batch} x {arguments.size} x {arguments.size}, width {arguments.width}, "
+              f"{arguments.threads} threads, PyTorch {torch.__version__}")
+        print("| network | opaline s | GFLOP/s | PyTorch s | its format | ratio | opaline MiB | PyTorch MiB |")
+        print("|---|---:|---:|---:|---|---:|---:|---:|")
+    for net in arguments.net:
+        r = compare(arguments, net)
+        if arguments.json:
+            print(json.dumps(r), flush=True)
+        else:
+            print(f"| {net} | {r['ours_seconds']:.3f} | {r['ours_gflops']:.0f} | {r['peer_seconds']:.3f} | "
+                  f"{r['peer_format']} | {r['ratio']:.2f} | {r['ours_bytes'] / 2**20:.0f} | "
+                  f"{r['peer_bytes'] / 2**20:.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+#include "core/kernels/gemm.h"
+
+#include <algorithm>
+#include <vector>
+
+#include "core/kernels/panels.h"
+#include "core/parallel.h"
+
+namespace opaline::kernels {
+
+template <class T>
+void column_sums(const T* x, int64_t rows, int64_t columns, double* sums) {
+  constexpr int64_t kBlock = 1024;
+  const int64_t blocks = (rows + kBlock - 1) / kBlock;
+  std::vector<double> partial(static_cast<size_t>(blocks * columns), 0.0);
+  parallel_for(blocks, [&](int64_t b) {
+    double* const to = partial.data() + b * columns;
+    for (int64_t m = b * kBlock; m < std::min(rows, (b + 1) * kBlock); ++m) {
+      for (int64_t j = 0; j < columns; ++j) to[j] += static_cast<double>(x[m * columns + j]);
+    }
+  });
+  std::fill_n(sums, columns, 0.0);
+  for (int64_t b = 0; b < blocks; ++b) {
+    for (int64_t j = 0; j < columns; ++j) sums[j] += partial[static_cast<size_t>(b * columns + j)];
+  }
+}
+
+namespace {
+
+/// One slice [k0, k1) of the inner dimension; rows of `a` contiguous. Bias only with the first slice.
+template <class T>
+void gemm_slice(int64_t m, int64_t n, int64_t k0, int64_t k1, const T* a, int64_t lda, const MatrixView<T>& b,
+                const T* bias, T* c, bool parallel) {
+  PackedWeights<T> packed(1, k1 - k0, n, bias);
+  packed.fill(
+      b.column_stride, [&](int64_t, int64_t r) { return b.data + (k0 + r) * b.row_stride; }, parallel);
+  const Tiles<T>& tile = tiles<T>();
+  constexpr int64_t kRowsPerUnit = 64;
+  const int64_t units = (m + kRowsPerUnit - 1) / kRowsPerUnit;
+  const auto run_unit = [&](int64_t index) {
+    const int64_t unit = index / packed.panels, p = index % packed.panels;
+    DotTile<T> t;
+    t.a_stride = lda;
+    t.run = k1 - k0;
+    t.c_stride = n;
+    t.b = packed.panel(p);
+    t.bias = packed.has_bias ? packed.bias.data() + p * packed.width : nullptr;
+    t.columns = std::min(packed.width, n - p * packed.width);
+    const int64_t end = std::min(m, (unit + 1) * kRowsPerUnit);
+    for (int64_t row = unit * kRowsPerUnit; row < end; row += tile.rows) {
+      t.rows = std::min(tile.rows, end - row);
+      t.a = a + row * lda + k0;
+      t.c = c + row * n + p * packed.width;
+      tile.dot(t, packed.vectors);
+    }
+  };
+  if (parallel) {
+    parallel_for(units * packed.panels, run_unit);
+  } else {
+    for (int64_t i = 0; i < units * packed.panels; ++i) run_unit(i);
+  }
+}
+
+}  // namespace
+
+template <class T>
+void gemm(int64_t m, int64_t n, int64_t k, const MatrixView<T>& a, const MatrixView<T>& b, const T* bias,
+          T* c, bool parallel) {
+  if (m == 0 || n == 0) return;
+  // The tile walks rows of a, so a transposed one is copied first.
+  const T* rows = a.data;
+  int64_t lda = a.row_stride;
+  const Scratch<T> copy(a.column_stride == 1 ? 0 : m * k);
+  if (a.column_stride != 1) {
+    const auto transpose = [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        for (int64_t j = 0; j < k; ++j) {
+          copy.data()[i * k + j] = a.data[i * a.row_stride + j * a.column_stride];
+        }
+      }
+    };
+    if (parallel) {
+      parallel_blocks(m, 16, transpose);
+    } else {
+      transpose(0, m);
+    }
+    rows = copy.data();
+    lda = k;
+  }
+  constexpr int64_t kSlice = 8192;  // longer sums in T would lose digits: slices are joined in double
+  if (k <= kSlice) {
+    gemm_slice(m, n, 0, k, rows, lda, b, bias, c, parallel);
+    return;
+  }
+  const int64_t slices = (k + kSlice - 1) / kSlice;
+  std::vector<double> total(static_cast<size_t>(m * n), 0.0);
+  constexpr int64_t kGroup = 16;  // slices in flight, to bound the memory of the partial products
+  const Scratch<T> partial(std::min(kGroup, slices) * m * n);
+  for (int64_t begin = 0; begin < slices; begin += kGroup) {
+    const int64_t end = std::min(begin + kGroup, slices);
+    const auto run_slice = [&](int64_t i) {
+      gemm_slice(m, n, (begin + i) * kSlice, std::min(k, (begin + i + 1) * kSlice), rows, lda, b,
+                 static_cast<const T*>(nullptr), partial.data() + i * m * n, false);
+    };
+    if (parallel) {
+      parallel_for(end - begin, run_slice);
+    } else {
+      for (int64_t i = 0; i < end - begin; ++i) run_slice(i);
+    }
+    for (int64_t i = 0; i < end - begin; ++i) {
+      for (int64_t j = 0; j < m * n; ++j) {
+        total[static_cast<size_t>(j)] += static_cast<double>(partial.data()[i * m * n + j]);
+      }
+    }
+  }
+  for (int64_t i = 0; i < m; ++i) {
+    for (int64_t j = 0; j < n; ++j) {
+      const double offset = bias != nullptr ? static_cast<double>(bias[j]) : 0.0;
+      c[i * n + j] = static_cast<T>(total[static_cast<size_t>(i * n + j)] + offset);
+    }
+  }
+}
+
+template void column_sums(const float*, int64_t, int64_t, double*);
+template void column_sums(const double*, int64_t, int64_t, double*);
+template void gemm(int64_t, int64_t, int64_t, const MatrixView<float>&, const MatrixView<float>&,
+                   const float*, float*, bool);
+template void gemm(int64_t, int64_t, int64_t, const MatrixView<double>&, const MatrixView<double>&,
+                   const double*, double*, bool);
+
+}  // namespace opaline::kernels

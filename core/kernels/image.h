@@ -1,0 +1,58 @@
+// Channels-last images as convolutions read them: with a border that is not stored.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+namespace opaline::kernels {
+
+/// Source row (or column) of row i of a reflected image: mirrored at the ends, which are not repeated.
+/// Needs -size < i < 2 * size - 1.
+inline int64_t reflected(int64_t i, int64_t size) {
+  if (i < 0) return -i;
+  return i < size ? i : 2 * (size - 1) - i;
+}
+
+/// n images of h x w x channels. Outside lie zeros, or, for up to `reflect` pixels, the mirrored image.
+template <class T>
+struct Image {
+  const T* data = nullptr;
+  int64_t n = 0, h = 0, w = 0, channels = 0;
+  int64_t reflect = 0;
+
+  const T* pixel(int64_t image, int64_t row, int64_t column) const {
+    return data + ((image * h + row) * w + column) * channels;
+  }
+  bool contains(int64_t top, int64_t left, int64_t rows, int64_t columns) const {
+    return top >= 0 && left >= 0 && top + rows <= h && left + columns <= w;
+  }
+
+  /// Copies the pixels of the columns [left, left + columns) of a row to `to`, contiguously.
+  void copy_row(int64_t image, int64_t row, int64_t left, int64_t columns, T* to) const {
+    const bool mirrored = row < 0 || row >= h;
+    if (mirrored && (row < -reflect || row >= h + reflect)) {
+      std::fill_n(to, columns * channels, T{});
+      return;
+    }
+    const int64_t source = mirrored ? reflected(row, h) : row;
+    const int64_t first = std::clamp<int64_t>(-left, 0, columns);
+    const int64_t last = std::clamp<int64_t>(w - left, first, columns);
+    const auto border = [&](int64_t begin, int64_t end) {
+      for (int64_t j = begin; j < end; ++j) {
+        const int64_t column = left + j;
+        if (column < -reflect || column >= w + reflect) {
+          std::fill_n(to + j * channels, channels, T{});
+        } else {
+          std::copy_n(pixel(image, source, reflected(column, w)), channels, to + j * channels);
+        }
+      }
+    };
+    border(0, first);
+    if (last > first) {
+      std::copy_n(pixel(image, source, left + first), (last - first) * channels, to + first * channels);
+    }
+    border(last, columns);
+  }
+};
+
+}  // namespace opaline::kernels

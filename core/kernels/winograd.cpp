@@ -1,0 +1,323 @@
+#include "core/kernels/winograd.h"
+
+#include <algorithm>
+
+#include "core/kernels/image.h"
+#include "core/kernels/scratch.h"
+#include "core/kernels/tile.h"
+#include "core/kernels/winograd_tile.h"
+#include "core/parallel.h"
+
+namespace opaline::kernels {
+namespace {
+
+int64_t round_up(int64_t value, int64_t step) {
+  return (value + step - 1) / step * step;
+}
+
+/// The tiles that cover n images of rows x columns outputs, counted through.
+struct TileGrid {
+  int64_t outputs, rows, columns, down, across, count;
+
+  TileGrid(int64_t outputs_, int64_t n, int64_t rows_, int64_t columns_)
+      : outputs(outputs_),
+        rows(rows_),
+        columns(columns_),
+        down((rows + outputs - 1) / outputs),
+        across((columns + outputs - 1) / outputs),
+        count(n * down * across) {}
+
+  struct Tile {
+    int64_t image, row, column;  ///< of the first output
+  };
+  Tile operator[](int64_t i) const {
+    return {i / (down * across), i / across % down * outputs, i % across * outputs};
+  }
+};
+
+/// Transformed filters: for each frequency panels of `width` outputs, each [padded inputs][width], zero
+/// beyond the last of both.
+template <class T>
+struct Filters {
+  int64_t in, out, width, panels, frequency;
+  Scratch<T> values;
+
+  /// `in_stride`, `out_stride` and `tap` are the distances of neighbours in `weight`; a negative `tap` walks
+  /// the kernel backwards.
+  Filters(const WinogradKernels<T>& k, const T* weight, int64_t in_, int64_t out_, int64_t in_stride,
+          int64_t out_stride, int64_t tap)
+      : in(round_up(in_, k.lanes)),
+        out(out_),
+        width(2 * k.lanes),
+        panels((out + width - 1) / width),
+        frequency(panels * in * width + k.lanes),
+        values(k.tile * k.tile * frequency) {
+    constexpr int64_t kInputsPerUnit = 8;
+    const int64_t units = in / kInputsPerUnit + (in % kInputsPerUnit != 0 ? 1 : 0);
+    const T* const first = tap < 0 ? weight - 8 * tap : weight;
+    parallel_for(panels * units, [&](int64_t unit) {
+      const int64_t p = unit / units, begin = unit % units * kInputsPerUnit;
+      for (int64_t i = begin; i < std::min(in, begin + kInputsPerUnit); ++i) {
+        for (int64_t j = 0; j < width; j += k.lanes) {
+          const int64_t column = p * width + j;
+          const int64_t valid = i < in_ ? std::clamp<int64_t>(out - column, 0, k.lanes) : 0;
+          k.weight(first + (valid > 0 ? i * in_stride + column * out_stride : 0), out_stride, tap, valid,
+                   values.data() + (p * in + i) * width + j, frequency);
+        }
+      }
+    });
+  }
+};
+
+/// Transforms the tiles [begin, begin + count) of x, `reach` pixels up and left of their outputs, into slots
+/// 0, 1, .. of `to`, each `slot` from the next. What lies in the image is read in place.
+template <class T, class Transform>
+void transform_tiles(const Image<T>& x, const TileGrid& grid, int64_t begin, int64_t count, int64_t side,
+                     int64_t reach, T* patch, T* to, int64_t slot, const Transform& transform) {
+  for (int64_t i = 0; i < count; ++i) {
+    const TileGrid::Tile tile = grid[begin + i];
+    const int64_t top = tile.row - reach, left = tile.column - reach;
+    T* const out = to + i * slot;
+    if (x.contains(top, left, side, side)) {
+      transform(x.pixel(tile.image, top, left), x.w * x.channels, x.channels, out);
+      continue;
+    }
+    for (int64_t row = 0; row < side; ++row) {
+      x.copy_row(tile.image, top + row, left, side, patch + row * side * x.channels);
+    }
+    transform(patch, side * x.channels, x.channels, out);
+  }
+}
+
+/// Tiles of a block: as many as keep its transformed values near the core.
+int64_t tiles_per_block(int64_t bytes_per_tile) {
+  constexpr int64_t kBytes = int64_t{3} << 19;
+  return std::clamp<int64_t>(kBytes / bytes_per_tile / 8 * 8, 16, 128);
+}
+
+/// y = correlation of x, `padding` pixels of border included, with the filters.
+template <class T>
+void convolve(const WinogradKernels<T>& k, const Image<T>& x, int64_t padding, const Filters<T>& filters,
+              const T* bias, int64_t rows, int64_t columns, T* y) {
+  const Tiles<T>& gemm = tiles<T>();
+  const TileGrid grid(k.outputs, x.n, rows, columns);
+  const int64_t frequencies = k.tile * k.tile, channels = x.channels, out = filters.out;
+  const int64_t out_width = filters.panels * filters.width;
+  const int64_t block =
+      tiles_per_block(frequencies * (filters.in + out_width) * static_cast<int64_t>(sizeof(T)));
+  const Scratch<T> padded_bias(out_width);
+  if (bias != nullptr) {
+    padded_bias.zero();
+    std::copy_n(bias, out, padded_bias.data());
+  }
+  parallel_for((grid.count + block - 1) / block, [&](int64_t unit) {
+    const int64_t begin = unit * block, count = std::min(block, grid.count - begin);
+    const Frequencies in_layout{block * filters.in + k.lanes, block * k.lanes, k.lanes};
+    const Frequencies out_layout{block * out_width + k.lanes, block * filters.width, filters.width};
+    const Scratch<T> in(frequencies * in_layout.frequency), product(frequencies * out_layout.frequency);
+    const Scratch<T> patch(k.tile * k.tile * channels);
+    // [frequency][group of lanes channels][tile][lane], so that both transforms and products run through
+    // memory in order.
+    transform_tiles(x, grid, begin, count, k.tile, padding, patch.data(), in.data(), k.lanes,
+                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
+                      k.input(d, row_stride, pixel_stride, channels, to, in_layout);
+                    });
+    DotTile<T> t;
+    t.a_stride = k.lanes;
+    t.a_run_stride = block * k.lanes;
+    t.runs = filters.in / k.lanes;
+    t.run = k.lanes;
+    t.c_stride = filters.width;
+    t.columns = filters.width;
+    for (int64_t f = 0; f < frequencies; ++f) {
+      for (int64_t p = 0; p < filters.panels; ++p) {
+        t.b = filters.values.data() + f * filters.frequency + p * filters.in * filters.width;
+        T* const to = product.data() + f * out_layout.frequency + p * out_layout.panel;
+        for (int64_t i = 0; i < count; i += gemm.rows) {
+          t.rows = std::min(gemm.rows, count - i);
+          t.a = in.data() + f * in_layout.frequency + i * k.lanes;
+          t.c = to + i * filters.width;
+          gemm.dot(t, 2);
+        }
+      }
+    }
+    for (int64_t i = 0; i < count; ++i) {
+      const TileGrid::Tile tile = grid[begin + i];
+      k.output(product.data() + i * filters.width, out_layout, out,
+               bias != nullptr ? padded_bias.data() : nullptr,
+               y + ((tile.image * rows + tile.row) * columns + tile.column) * out, columns * out, out,
+               std::min(k.outputs, rows - tile.row), std::min(k.outputs, columns - tile.column));
+    }
+  });
+}
+
+}  // namespace
+
+template <class T>
+void winograd_forward(int outputs, const ConvShape& s, const T* x, const T* weight, const T* bias, T* y) {
+  const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
+  const Filters<T> filters(k, weight, s.in, s.out, 9, 9 * s.in, 1);
+  convolve(k, s.input(x), s.padding, filters, bias, s.out_h(), s.out_w(), y);
+}
+
+template <class T>
+void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const T* weight, const T* bias,
+                             T* dx) {
+  const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
+  const Filters<T> filters(k, weight, s.out, s.in, 9 * s.in, 9, -1);
+  const int64_t border = s.reflect ? s.padding : 0;
+  convolve(k, s.output(dy), 2 - s.padding + border, filters, bias, s.h + 2 * border, s.w + 2 * border, dx);
+}
+
+namespace {
+
+/// The gradient of the weight in the transformed domain: for each frequency out x in sums over tiles of the
+/// transformed gradient times the transformed input.
+template <class T>
+class WeightSums {
+ public:
+  WeightSums(const WinogradKernels<T>& k, const ConvShape& s, const T* x, const T* dy, int64_t block)
+      : k_(k),
+        s_(s),
+        x_(s.input(x)),
+        dy_(s.output(dy)),
+        grid_(k.outputs, s.n, s.out_h(), s.out_w()),
+        width_(2 * k.lanes),
+        frequencies_(k.tile * k.tile),
+        a_{block * round_up(s.out, k.lanes) + k.lanes, block * k.lanes, k.lanes},
+        b_{block * round_up(s.in, width_) + k.lanes, block * width_, width_} {}
+
+  const TileGrid& grid() const { return grid_; }
+  int64_t frequencies() const { return frequencies_; }
+  /// Elements of the transformed gradients (a) and inputs (b) of a block, and of the sums.
+  int64_t a_size() const { return frequencies_ * a_.frequency; }
+  int64_t b_size() const { return frequencies_ * b_.frequency; }
+  int64_t sums_size() const { return frequencies_ * sums_frequency(); }
+  int64_t sums_frequency() const { return s_.out * s_.in + k_.lanes; }
+  int64_t panels() const { return (s_.in + width_ - 1) / width_; }
+
+  /// Tiles [first, first + count) of the grid into the slots from `slot` on.
+  void transform(int64_t first, int64_t count, int64_t slot, T* a, T* b) const {
+    const Scratch<T> patch(k_.tile * k_.tile * std::max(s_.in, s_.out));
+    transform_tiles(x_, grid_, first, count, k_.tile, s_.padding, patch.data(), b + slot * width_, width_,
+                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
+                      k_.input(d, row_stride, pixel_stride, s_.in, to, b_);
+                    });
+    transform_tiles(dy_, grid_, first, count, k_.outputs, 0, patch.data(), a + slot * k_.lanes, k_.lanes,
+                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
+                      k_.output_gradient(d, row_stride, pixel_stride, s_.out, to, a_);
+                    });
+  }
+
+  /// sums (+)= products of the first `count` tiles of a block, for a frequency and a panel of inputs.
+  void multiply(int64_t f, int64_t panel, int64_t count, const T* a, const T* b, bool accumulate,
+                T* sums) const {
+    const Tiles<T>& gemm = tiles<T>();
+    OuterTile<T> t;
+    t.a_stride = k_.lanes;
+    t.b = b + f * b_.frequency + panel * b_.panel;
+    t.b_stride = width_;
+    t.pixels = count;
+    t.c_stride = s_.in;
+    t.columns = std::min(width_, s_.in - panel * width_);
+    t.accumulate = accumulate;
+    for (int64_t o = 0; o < s_.out; o += gemm.rows) {
+      t.a = a + f * a_.frequency + o / k_.lanes * a_.panel + o % k_.lanes;
+      t.rows = std::min(gemm.rows, s_.out - o);
+      t.c = sums + f * sums_frequency() + o * s_.in + panel * width_;
+      gemm.outer(t);
+    }
+  }
+
+  /// The taps' gradient from the sums.
+  void finish(const T* sums, T* dweight) const {
+    parallel_blocks(s_.out, 4, [&](int64_t first, int64_t last) {
+      for (int64_t o = first; o < last; ++o) {
+        for (int64_t i = 0; i < s_.in; i += k_.lanes) {
+          k_.weight_gradient(sums + o * s_.in + i, sums_frequency(), std::min(k_.lanes, s_.in - i),
+                             dweight + (o * s_.in + i) * 9, 9);
+        }
+      }
+    });
+  }
+
+ private:
+  const WinogradKernels<T>& k_;
+  const ConvShape& s_;
+  Image<T> x_, dy_;
+  TileGrid grid_;
+  int64_t width_, frequencies_;
+  Frequencies a_, b_;
+};
+
+}  // namespace
+
+template <class T>
+void winograd_weight_gradient(int outputs, const ConvShape& s, const T* x, const T* dy, T* dweight) {
+  const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
+  if (s.n == 0) {
+    std::fill_n(dweight, s.out * s.in * 9, T{});
+    return;
+  }
+  // Few channels: a group of tiles has sums of its own, which stay near the core with the block that it works
+  // on.
+  constexpr int64_t kOwnSumsBytes = int64_t{5} << 19, kOwnBlock = 32, kGroups = 16;
+  if (k.tile * k.tile * s.in * s.out * static_cast<int64_t>(sizeof(T)) <= kOwnSumsBytes) {
+    const WeightSums<T> work(k, s, x, dy, kOwnBlock);
+    const int64_t blocks = (work.grid().count + kOwnBlock - 1) / kOwnBlock;
+    const int64_t per_group = (blocks + kGroups - 1) / kGroups;
+    const int64_t groups = (blocks + per_group - 1) / per_group;
+    const Scratch<T> sums(groups * work.sums_size());
+    parallel_for(groups, [&](int64_t group) {
+      const Scratch<T> a(work.a_size()), b(work.b_size());
+      for (int64_t block = group * per_group; block < std::min(blocks, (group + 1) * per_group); ++block) {
+        const int64_t first = block * kOwnBlock, count = std::min(kOwnBlock, work.grid().count - first);
+        work.transform(first, count, 0, a.data(), b.data());
+        for (int64_t f = 0; f < work.frequencies(); ++f) {
+          for (int64_t p = 0; p < work.panels(); ++p) {
+            work.multiply(f, p, count, a.data(), b.data(), block > group * per_group,
+                          sums.data() + group * work.sums_size());
+          }
+        }
+      }
+    });
+    parallel_blocks(work.sums_size(), 1 << 14, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        double total = 0.0;
+        for (int64_t g = 0; g < groups; ++g) {
+          total += static_cast<double>(sums.data()[g * work.sums_size() + i]);
+        }
+        sums.data()[i] = static_cast<T>(total);
+      }
+    });
+    work.finish(sums.data(), dweight);
+    return;
+  }
+  // Many channels: threads share the sums, each owner of some frequencies, and transform every block
+  // together.
+  constexpr int64_t kSharedBlock = 256, kTilesPerUnit = 16;
+  const WeightSums<T> work(k, s, x, dy, kSharedBlock);
+  const Scratch<T> a(work.a_size()), b(work.b_size()), sums(work.sums_size());
+  for (int64_t first = 0; first < work.grid().count; first += kSharedBlock) {
+    const int64_t count = std::min(kSharedBlock, work.grid().count - first);
+    parallel_blocks(count, kTilesPerUnit, [&](int64_t begin, int64_t end) {
+      work.transform(first + begin, end - begin, begin, a.data(), b.data());
+    });
+    parallel_for(work.frequencies() * work.panels(), [&](int64_t unit) {
+      work.multiply(unit / work.panels(), unit % work.panels(), count, a.data(), b.data(), first > 0,
+                    sums.data());
+    });
+  }
+  work.finish(sums.data(), dweight);
+}
+
+template void winograd_forward(int, const ConvShape&, const float*, const float*, const float*, float*);
+template void winograd_forward(int, const ConvShape&, const double*, const double*, const double*, double*);
+template void winograd_input_gradient(int, const ConvShape&, const float*, const float*, const float*,
+                                      float*);
+template void winograd_input_gradient(int, const ConvShape&, const double*, const double*, const double*,
+                                      double*);
+template void winograd_weight_gradient(int, const ConvShape&, const float*, const float*, float*);
+template void winograd_weight_gradient(int, const ConvShape&, const double*, const double*, double*);
+
+}  // namespace opaline::kernels

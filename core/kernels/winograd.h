@@ -1,0 +1,22 @@
+// Winograd's convolution for 3 x 3 kernels of stride 1: the same results as the direct one with fewer
+// multiplications and a larger rounding error (winograd_points.h). Tiles are taken in blocks that stay in the
+// caches; nothing is transformed as a whole. The order of every sum depends on the shape alone.
+#pragma once
+
+#include "core/kernels/conv.h"
+
+namespace opaline::kernels {
+
+/// `outputs` is m of F(m x m, 3 x 3): 2, 4 or 6. Arguments as in conv.h; needs a 3 x 3 kernel and stride 1.
+template <class T>
+void winograd_forward(int outputs, const ConvShape& s, const T* x, const T* weight, const T* bias, T* y);
+
+/// With s.reflect, dx is the gradient of the padded image, n x (h + 2 padding) x (w + 2 padding) x in.
+template <class T>
+void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const T* weight, const T* bias,
+                             T* dx);
+
+template <class T>
+void winograd_weight_gradient(int outputs, const ConvShape& s, const T* x, const T* dy, T* dweight);
+
+}  // namespace opaline::kernels

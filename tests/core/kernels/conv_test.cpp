@@ -1,0 +1,183 @@
+#include "core/kernels/conv.h"
+
+#include <catch2/catch.hpp>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "core/kernels/direct.h"
+#include "core/kernels/winograd.h"
+#include "core/parallel.h"
+#include "core/random.h"
+#include "core/tensor.h"
+
+namespace opaline::kernels {
+namespace {
+
+constexpr int kDirect = 0;
+
+/// Normal numbers, the same for float and double but for rounding.
+template <class T>
+std::vector<T> numbers(int64_t count, uint32_t sample) {
+  std::vector<T> result(static_cast<size_t>(count));
+  Random random(7, Purpose::kTest, 0, sample);
+  for (T& value : result) value = static_cast<T>(static_cast<float>(random.normal()));
+  return result;
+}
+
+template <class T>
+struct Passes {
+  std::vector<T> y, dx, dweight;
+};
+
+/// The three passes over the same numbers by one algorithm; every result starts as NaN, so that a value that
+/// is not written shows.
+template <class T>
+Passes<T> run(const ConvShape& s, int outputs) {
+  const int64_t border = s.reflect ? s.padding : 0;
+  const auto x = numbers<T>(s.n * s.h * s.w * s.in, 1);
+  const auto weight = numbers<T>(s.out * s.in * s.kernel_h * s.kernel_w, 2);
+  const auto dy = numbers<T>(s.n * s.out_h() * s.out_w() * s.out, 3);
+  const auto bias = numbers<T>(s.out, 4);
+  const auto nan = [](int64_t count) {
+    return std::vector<T>(static_cast<size_t>(count), std::numeric_limits<T>::quiet_NaN());
+  };
+  Passes<T> p{nan(s.n * s.out_h() * s.out_w() * s.out),
+              nan(s.n * (s.h + 2 * border) * (s.w + 2 * border) * s.in),
+              nan(static_cast<int64_t>(weight.size()))};
+  const T* const none = nullptr;
+  if (outputs == kDirect) {
+    direct_forward(s, x.data(), weight.data(), bias.data(), p.y.data());
+    direct_input_gradient(s, dy.data(), weight.data(), none, p.dx.data());
+    direct_weight_gradient(s, x.data(), dy.data(), p.dweight.data());
+  } else {
+    winograd_forward(outputs, s, x.data(), weight.data(), bias.data(), p.y.data());
+    winograd_input_gradient(outputs, s, dy.data(), weight.data(), none, p.dx.data());
+    winograd_weight_gradient(outputs, s, x.data(), dy.data(), p.dweight.data());
+  }
+  return p;
+}
+
+/// Root mean square of the difference, relative to that of the reference; NaN where a value is.
+template <class T>
+double error(const std::vector<T>& value, const std::vector<double>& reference) {
+  REQUIRE(value.size() == reference.size());
+  double difference = 0.0, size = 0.0;
+  for (size_t i = 0; i < value.size(); ++i) {
+    difference += std::pow(static_cast<double>(value[i]) - reference[i], 2);
+    size += reference[i] * reference[i];
+  }
+  return std::sqrt(difference / size);
+}
+
+/// The registry of operations holds the direct algorithm against the definition; this holds the others
+/// against it.
+std::vector<ConvShape> shapes() {
+  const auto shape = [](int64_t n, int64_t h, int64_t w, int64_t in, int64_t out, int64_t padding,
+                        bool reflect = false) {
+    return ConvShape{.n = n,
+                     .h = h,
+                     .w = w,
+                     .in = in,
+                     .out = out,
+                     .kernel_h = 3,
+                     .kernel_w = 3,
+                     .padding = padding,
+                     .reflect = reflect};
+  };
+  return {
+      shape(1, 8, 8, 16, 16, 1),          // whole tiles and lanes
+      shape(2, 7, 9, 16, 32, 1),          // tiles that hang over
+      shape(1, 5, 6, 3, 2, 1),            // fewer channels than lanes
+      shape(2, 6, 5, 21, 37, 1),          // no multiple of the lanes
+      shape(1, 3, 3, 5, 7, 0),            // a single output
+      shape(1, 1, 1, 18, 17, 1),          // a single pixel
+      shape(1, 4, 13, 9, 8, 2),           // as wide a border as a kernel allows
+      shape(2, 8, 7, 20, 19, 1, true),    // mirrored
+      shape(1, 5, 4, 8, 16, 2, true),     // mirrored twice
+      shape(1, 60, 60, 4, 5, 1),          // more tiles than a block
+      shape(1, 70, 66, 24, 24, 1, true),  // more blocks than one group
+      shape(1, 36, 36, 160, 136, 1),      // channels enough for shared sums
+      shape(0, 4, 4, 16, 16, 1),          // no image
+  };
+}
+
+std::string describe(const ConvShape& s) {
+  return std::to_string(s.n) + "x" + std::to_string(s.h) + "x" + std::to_string(s.w) + "x" +
+         std::to_string(s.in) + " -> " + std::to_string(s.out) + ", padding " + std::to_string(s.padding) +
+         (s.reflect ? ", mirrored" : "");
+}
+
+TEST_CASE("Winograd's convolutions agree with the direct one in all passes") {
+  for (const ConvShape& s : shapes()) {
+    INFO(describe(s));
+    const Passes<double> reference = run<double>(s, kDirect);
+    for (const int outputs : {2, 4, 6}) {
+      INFO("tiles of " << outputs);
+      const Passes<double> wide = run<double>(s, outputs);
+      const Passes<float> narrow = run<float>(s, outputs);
+      if (s.n == 0) {
+        // The gradient of a weight that saw nothing is zero.
+        for (const double value : wide.dweight) CHECK(value == 0.0);
+        continue;
+      }
+      CHECK(error(wide.y, reference.y) < 1e-13);
+      CHECK(error(wide.dx, reference.dx) < 1e-13);
+      CHECK(error(wide.dweight, reference.dweight) < 1e-13);
+      const double limit = outputs == 6 ? 3e-5 : 3e-6;
+      CHECK(error(narrow.y, reference.y) < limit);
+      CHECK(error(narrow.dx, reference.dx) < limit);
+      CHECK(error(narrow.dweight, reference.dweight) < limit);
+    }
+  }
+}
+
+TEST_CASE("convolutions have the same bits for any number of threads") {
+  for (const ConvShape& s : shapes()) {
+    INFO(describe(s));
+    for (const int outputs : {kDirect, 4}) {
+      const auto on = [&](int threads) {
+        const ThreadsGuard guard(threads);
+        return run<float>(s, outputs);
+      };
+      const Passes<float> one = on(1);
+      for (const int threads : {2, 3}) {
+        const Passes<float> more = on(threads);
+        const auto same = [](const std::vector<float>& a, const std::vector<float>& b) {
+          return std::memcmp(a.data(), b.data(), a.size() * sizeof(float)) == 0;
+        };
+        CHECK(same(one.y, more.y));
+        CHECK(same(one.dx, more.dx));
+        CHECK(same(one.dweight, more.dweight));
+      }
+    }
+  }
+}
+
+TEST_CASE("a number that is none reaches every output of its window") {
+  const ConvShape s{
+      .n = 1, .h = 9, .w = 9, .in = 16, .out = 16, .kernel_h = 3, .kernel_w = 3, .stride = 1, .padding = 1};
+  for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+    for (const int outputs : {kDirect, 2, 4, 6}) {
+      INFO("tiles of " << outputs << ", value " << bad);
+      auto x = numbers<float>(9 * 9 * 16, 1);
+      const auto weight = numbers<float>(16 * 16 * 9, 2);
+      x[(4 * 9 + 5) * 16 + 3] = bad;
+      std::vector<float> y(9 * 9 * 16);
+      if (outputs == kDirect) {
+        direct_forward<float>(s, x.data(), weight.data(), nullptr, y.data());
+      } else {
+        winograd_forward<float>(outputs, s, x.data(), weight.data(), nullptr, y.data());
+      }
+      for (int row = 3; row <= 5; ++row) {
+        for (int column = 4; column <= 6; ++column) {
+          for (int c = 0; c < 16; ++c)
+            CHECK_FALSE(std::isfinite(y[static_cast<size_t>((row * 9 + column) * 16 + c)]));
+        }
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace opaline::kernels
