@@ -77,9 +77,13 @@ bool should_record(std::span<const Tensor> inputs) {
   return false;
 }
 
-Tensor record(std::string_view operation, Tensor result, std::vector<Tensor> inputs,
-              BackwardFunction backward) {
-  result.set_node(std::make_shared<Node>(Node{operation, std::move(inputs), std::move(backward)}));
+Tensor record(std::string_view operation, Tensor result, const std::vector<Tensor>& inputs,
+              BackwardFunction backward, Recompute recompute) {
+  std::vector<Tensor> edges;
+  edges.reserve(inputs.size());
+  for (const Tensor& input : inputs) edges.push_back(input.defined() ? input.edge() : Tensor());
+  result.set_node(std::make_shared<Node>(Node{operation, std::move(edges), std::move(backward)}));
+  if (recompute) result.set_recompute(std::move(recompute), inputs);
   return result;
 }
 

@@ -16,13 +16,13 @@
 namespace opaline {
 
 /// From the gradient of the result to the gradients of the inputs, one each, in order. `needs[i]` says
-/// whether input i wants one; an undefined Tensor stands for none. Save inputs with detach(), and results
-/// too: a node that held its own result would never die.
+/// whether input i wants one; an undefined Tensor stands for none. Keep inputs by saved() and read them by
+/// restored(); keep results by detach(): a node that held its own result would never die.
 using BackwardFunction = std::function<std::vector<Tensor>(const Tensor& grad, std::span<const char> needs)>;
 
 struct Node {
   std::string_view operation;  ///< static string
-  std::vector<Tensor> inputs;
+  std::vector<Tensor> inputs;  ///< edges: without values
   BackwardFunction backward;
 };
 
@@ -46,9 +46,11 @@ class NoGradGuard {
 bool should_record(std::initializer_list<const Tensor*> inputs);
 bool should_record(std::span<const Tensor> inputs);
 
-/// Hangs a node on `result` and returns it. Call only where should_record() holds.
-Tensor record(std::string_view operation, Tensor result, std::vector<Tensor> inputs,
-              BackwardFunction backward);
+/// Hangs a node on `result` and returns it. Call only where should_record() holds. Operations that cost as
+/// little as reading memory say how to `recompute` their result, so that those which save it keep what it
+/// came from instead.
+Tensor record(std::string_view operation, Tensor result, const std::vector<Tensor>& inputs,
+              BackwardFunction backward, Recompute recompute = nullptr);
 
 /// Adds d(sum(root * seed))/d(leaf) to every leaf's grad(). An undefined seed means ones; root must then be a
 /// scalar. The graph is consumed: saved tensors are freed on the way.

@@ -8,35 +8,44 @@
 
 namespace opaline {
 
-struct Tensor::Impl {
-  Shape shape;
-  DType dtype = DType::kFloat32;
-  std::shared_ptr<std::byte> storage;
+/// What copies of a tensor share beyond its values, and what a node keeps of its inputs.
+struct Tensor::History {
   bool requires_grad = false;
   Tensor grad;
   std::shared_ptr<Node> node;
 
-  Impl(Shape s, DType d, std::shared_ptr<std::byte> bytes)
-      : shape(std::move(s)), dtype(d), storage(std::move(bytes)) {}
-  Impl(const Impl&) = delete;
-  Impl& operator=(const Impl&) = delete;
+  History() = default;
+  History(const History&) = delete;
+  History& operator=(const History&) = delete;
 
-  // A long graph would otherwise die by recursion, one stack frame a node.
-  ~Impl() {
-    std::vector<std::shared_ptr<Node>> dying;
-    if (node) dying.push_back(std::move(node));
-    while (!dying.empty()) {
-      const std::shared_ptr<Node> last = std::move(dying.back());
-      dying.pop_back();
-      if (last.use_count() > 1) continue;
-      for (Tensor& input : last->inputs) {
-        if (input.impl_ && input.impl_.use_count() == 1 && input.impl_->node) {
-          dying.push_back(std::move(input.impl_->node));
-        }
-      }
+  ~History();
+};
+
+struct Tensor::Impl {
+  Shape shape;
+  DType dtype = DType::kFloat32;
+  std::shared_ptr<std::byte> storage;  // null for an edge and for values to recompute
+  std::weak_ptr<std::byte> elsewhere;  // the storage then, for as long as somebody else keeps it
+  std::shared_ptr<const Recompute> recompute;
+  int recompute_depth = 0;  // recomputations, one after the other, that lead here from values that are kept
+  std::shared_ptr<History> history = std::make_shared<History>();
+};
+
+// A long graph would otherwise die by recursion, one stack frame a node.
+Tensor::History::~History() {
+  std::vector<std::shared_ptr<Node>> dying;
+  if (node) dying.push_back(std::move(node));
+  while (!dying.empty()) {
+    const std::shared_ptr<Node> last = std::move(dying.back());
+    dying.pop_back();
+    if (last.use_count() > 1) continue;
+    for (Tensor& input : last->inputs) {
+      if (!input.impl_ || input.impl_.use_count() > 1) continue;
+      std::shared_ptr<History>& history = input.impl_->history;
+      if (history.use_count() == 1 && history->node) dying.push_back(std::move(history->node));
     }
   }
-};
+}
 
 int64_t size_of(DType dtype) {
   return dtype == DType::kFloat32 ? 4 : 8;
@@ -73,7 +82,11 @@ Tensor::Tensor(Shape shape, DType dtype) {
     }
   }
   auto storage = tensor_pool().allocate(bytes);
-  impl_ = std::make_shared<Impl>(std::move(shape), dtype, std::move(storage));
+  impl_ = std::make_shared<Impl>(Impl{.shape = std::move(shape),
+                                      .dtype = dtype,
+                                      .storage = std::move(storage),
+                                      .elsewhere = {},
+                                      .recompute = {}});
 }
 
 Tensor Tensor::zeros(Shape shape, DType dtype) {
@@ -134,11 +147,13 @@ DType Tensor::dtype() const {
 }
 
 const std::byte* Tensor::bytes() const {
+  if (!impl().storage)
+    fail("tensor", "{} has no values here: read it through restored()", to_string(shape()));
   return impl().storage.get();
 }
 
 std::byte* Tensor::bytes() {
-  return impl().storage.get();
+  return const_cast<std::byte*>(std::as_const(*this).bytes());
 }
 
 template <class T>
@@ -255,34 +270,85 @@ Tensor Tensor::view(Shape shape) const {
          to_string(shape));
   }
   Tensor result;
-  result.impl_ = std::make_shared<Impl>(std::move(shape), dtype(), impl().storage);
+  result.impl_ = std::make_shared<Impl>(Impl{.shape = std::move(shape),
+                                             .dtype = dtype(),
+                                             .storage = impl().storage,
+                                             .elsewhere = {},
+                                             .recompute = {}});
   return result;
 }
 
+void Tensor::set_recompute(Recompute recompute, std::span<const Tensor> inputs) {
+  constexpr int kMaxDepth = 4;
+  int depth = 1;
+  for (const Tensor& input : inputs) {
+    if (input.defined()) depth = std::max(depth, 1 + input.impl().recompute_depth);
+  }
+  if (depth > kMaxDepth) return;
+  impl().recompute = std::make_shared<const Recompute>(std::move(recompute));
+  impl().recompute_depth = depth;
+}
+
+bool Tensor::recomputes() const {
+  return impl().recompute != nullptr;
+}
+
+Tensor Tensor::saved() const {
+  if (!recomputes()) return detach();
+  Tensor result = edge();
+  result.impl_->history = std::make_shared<History>();
+  return result;
+}
+
+Tensor Tensor::edge() const {
+  Tensor result;
+  result.impl_ = std::make_shared<Impl>(impl());
+  if (impl().storage) result.impl_->elsewhere = impl().storage;
+  result.impl_->storage = nullptr;
+  return result;
+}
+
+Tensor Tensor::restored() const {
+  if (impl().storage) return *this;
+  if (std::shared_ptr<std::byte> storage = impl().elsewhere.lock()) {
+    Tensor result = *this;
+    result.impl_ = std::make_shared<Impl>(impl());
+    result.impl_->storage = std::move(storage);
+    return result;
+  }
+  if (!recomputes()) return {};
+  const NoGradGuard no_grad;
+  return (*impl().recompute)();
+}
+
 bool Tensor::requires_grad() const {
-  return impl().requires_grad || impl().node != nullptr;
+  return impl().history->requires_grad || impl().history->node != nullptr;
 }
 
 Tensor& Tensor::set_requires_grad(bool on) {
   if (on && !is_floating()) fail("tensor", "{} cannot have a gradient", to_string(dtype()));
-  impl().requires_grad = on;
+  impl().history->requires_grad = on;
   return *this;
 }
 
 Tensor Tensor::grad() const {
-  return impl().grad;
+  return impl().history->grad;
 }
 
 void Tensor::set_grad(Tensor grad) {
-  impl().grad = std::move(grad);
+  impl().history->grad = std::move(grad);
 }
 
 const std::shared_ptr<Node>& Tensor::node() const {
-  return impl().node;
+  return impl().history->node;
 }
 
 void Tensor::set_node(std::shared_ptr<Node> node) {
-  impl().node = std::move(node);
+  impl().history->node = std::move(node);
+}
+
+const void* Tensor::id() const {
+  return impl_ ? impl_->history.get() : nullptr;
 }
 
 }  // namespace opaline

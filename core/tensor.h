@@ -7,6 +7,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <initializer_list>
 #include <memory>
 #include <span>
@@ -47,6 +48,10 @@ decltype(auto) dispatch_floating(std::string_view where, DType dtype, F&& f) {
 }
 
 struct Node;  // core/autograd.h
+
+class Tensor;
+/// Makes a tensor's values once more, to the last bit.
+using Recompute = std::function<Tensor()>;
 
 /// A cheap handle: copies share storage and gradient. A default-made Tensor is undefined.
 class Tensor {
@@ -117,10 +122,23 @@ class Tensor {
   /// The operation that made this tensor; null for a leaf.
   const std::shared_ptr<Node>& node() const;
   void set_node(std::shared_ptr<Node> node);
-  /// Identity of the handle's target: equal for copies of one handle.
-  const void* id() const { return impl_.get(); }
+  /// Identity of the tensor in a graph: equal for copies of one handle and for its edge.
+  const void* id() const;
+
+  /// Says how the values can be made again at little cost from `inputs`, so that a graph need not keep them.
+  /// Ignored where the inputs would have to be made again themselves, a few times over.
+  void set_recompute(Recompute recompute, std::span<const Tensor> inputs);
+  bool recomputes() const;
+  /// What an operation keeps of a tensor for its backward pass, without history: the values, or the way to
+  /// make them again. Read it through restored().
+  Tensor saved() const;
+  /// The history without the values: what a node keeps of its inputs.
+  Tensor edge() const;
+  /// A tensor with values: itself, or they are found or made again. Undefined where an edge's are gone.
+  Tensor restored() const;
 
  private:
+  struct History;
   struct Impl;
   std::shared_ptr<Impl> impl_;
   const Impl& impl() const;

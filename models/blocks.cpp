@@ -1,6 +1,5 @@
 #include "models/blocks.h"
 
-#include "core/ops/activation.h"
 #include "core/ops/pool.h"
 #include "core/ops/shape.h"
 #include "nn/linear.h"
@@ -10,8 +9,9 @@ namespace opaline {
 namespace {
 
 void add_norm_relu(Sequential& sequence, int64_t channels, DType dtype) {
-  sequence.add<BatchNorm>(BatchNormConfig{.channels = channels, .scale = kBatchNorm2dScale, .dtype = dtype});
-  sequence.add_function(relu);
+  sequence.add<BatchNorm>(
+      BatchNormConfig{.channels = channels, .scale = kBatchNorm2dScale, .relu = true, .dtype = dtype});
+  sequence.skip();  // the rectifier
 }
 
 }  // namespace

@@ -43,10 +43,10 @@ IlluminationDecoder::IlluminationDecoder(const IlluminationDecoderConfig& config
     const int64_t out = left == 0 ? 1 : (config_.width << (left - 1)) / 4;
     model_.add<ConvTranspose2d>(
         ConvTranspose2dConfig{.in = in, .out = out, .bias = false, .dtype = config_.dtype});
-    model_.add<BatchNorm>(
-        BatchNormConfig{.channels = out, .scale = kBatchNorm2dScale, .dtype = config_.dtype});
+    model_.add<BatchNorm>(BatchNormConfig{
+        .channels = out, .scale = kBatchNorm2dScale, .relu = left > 0, .dtype = config_.dtype});
     if (left > 0) {
-      model_.add_function(relu);
+      model_.skip();  // the rectifier
     } else {
       model_.add_function([](const Tensor& x) { return tanh(x); });
     }

@@ -1,6 +1,5 @@
 #include "models/unet.h"
 
-#include "core/ops/activation.h"
 #include "core/ops/pool.h"
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
@@ -18,11 +17,11 @@ void add_conv_norm_relu(Sequential& sequence, int64_t in, int64_t out, const Dou
   sequence.add<Conv2d>(Conv2dConfig{.in = in, .out = out, .kernel = 3, .padding = 1, .dtype = config.dtype});
   if (config.norm == BlockNorm::kBatch) {
     sequence.add<BatchNorm>(
-        BatchNormConfig{.channels = out, .scale = kBatchNorm2dScale, .dtype = config.dtype});
+        BatchNormConfig{.channels = out, .scale = kBatchNorm2dScale, .relu = true, .dtype = config.dtype});
   } else {
-    sequence.add<InstanceNorm>(InstanceNormConfig{.channels = out, .dtype = config.dtype});
+    sequence.add<InstanceNorm>(InstanceNormConfig{.channels = out, .relu = true, .dtype = config.dtype});
   }
-  sequence.add_function(relu);
+  sequence.skip();  // the rectifier
 }
 
 }  // namespace

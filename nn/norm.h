@@ -11,6 +11,7 @@ struct BatchNormConfig {
   double eps = 1e-5;
   double momentum = 0.1;
   InitialValue scale = {.mean = 1.0, .deviation = 0.0};  ///< start of the weight
+  bool relu = false;                                     ///< a rectifier in the same pass
   DType dtype = DType::kFloat32;
 };
 
@@ -38,6 +39,7 @@ struct InstanceNormConfig {
   int64_t channels = 0;
   bool affine = false;  ///< have weight and bias
   double eps = 1e-5;
+  bool relu = false;  ///< a rectifier in the same pass
   DType dtype = DType::kFloat32;
 };
 
@@ -45,7 +47,9 @@ struct InstanceNormConfig {
 class InstanceNorm : public Module {
  public:
   explicit InstanceNorm(const InstanceNormConfig& config) : config_(config) {}
-  Tensor forward(const Tensor& x) const { return instance_norm(x, weight_, bias_, config_.eps); }
+  Tensor forward(const Tensor& x) const {
+    return instance_norm(x, weight_, bias_, {.eps = config_.eps, .relu = config_.relu});
+  }
 
  private:
   InstanceNormConfig config_;

@@ -1,6 +1,5 @@
 #include "nn/residual.h"
 
-#include "core/ops/activation.h"
 #include "core/ops/arithmetic.h"
 #include "nn/conv.h"
 #include "nn/norm.h"
@@ -18,8 +17,10 @@ ResidualBlock::ResidualBlock(const ResidualBlockConfig& config) {
   const BatchNormConfig norm{.channels = config.channels, .scale = kBatchNorm2dScale, .dtype = config.dtype};
   conv_block_.skip();  // the padding
   conv_block_.add<Conv2d>(conv);
-  conv_block_.add<BatchNorm>(norm);
-  conv_block_.add_function(relu);
+  BatchNormConfig rectified = norm;
+  rectified.relu = true;
+  conv_block_.add<BatchNorm>(rectified);
+  conv_block_.skip();  // the rectifier
   conv_block_.skip();
   conv_block_.add<Conv2d>(conv);
   conv_block_.add<BatchNorm>(norm);

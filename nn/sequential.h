@@ -26,7 +26,7 @@ class Sequential : public Module {
   void add_function(std::function<Tensor(const Tensor&)> function) { steps_.push_back(std::move(function)); }
 
   /// Takes an index and does nothing: for a step that PyTorch counts and ours does elsewhere (a reflection
-  /// padding is part of our convolution).
+  /// padding is part of our convolution, a rectifier of the normalisation before it).
   void skip() {
     add_function([](const Tensor& x) { return x; });
   }

@@ -26,7 +26,9 @@ std::string first_non_finite(const Tensor& root, const std::vector<NamedTensor>&
   for (const NamedTensor& parameter : parameters) names[parameter.tensor.id()] = parameter.name;
 
   std::string last_parameter;
-  for (const Tensor& tensor : computation_order(root)) {
+  for (const Tensor& edge : computation_order(root)) {
+    const Tensor tensor = edge.restored();
+    if (!tensor.defined()) continue;  // nothing kept its values
     const auto name = names.find(tensor.id());
     if (name != names.end()) last_parameter = name->second;
     if (finite(tensor)) continue;

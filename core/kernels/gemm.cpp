@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "core/kernels/norm.h"
 #include "core/kernels/panels.h"
 #include "core/parallel.h"
 
@@ -11,18 +12,79 @@ namespace opaline::kernels {
 template <class T>
 void column_sums(const T* x, int64_t rows, int64_t columns, double* sums) {
   constexpr int64_t kBlock = 1024;
-  const int64_t blocks = (rows + kBlock - 1) / kBlock;
-  std::vector<double> partial(static_cast<size_t>(blocks * columns), 0.0);
+  const NormKernels<T>& k = norm_kernels<T>();
+  const int64_t blocks = (rows + kBlock - 1) / kBlock, width = k.padded(columns);
+  std::vector<double> partial(static_cast<size_t>(blocks * width), 0.0);
   parallel_for(blocks, [&](int64_t b) {
-    double* const to = partial.data() + b * columns;
-    for (int64_t m = b * kBlock; m < std::min(rows, (b + 1) * kBlock); ++m) {
-      for (int64_t j = 0; j < columns; ++j) to[j] += static_cast<double>(x[m * columns + j]);
-    }
+    k.column_sums(x + b * kBlock * columns, std::min(kBlock, rows - b * kBlock), columns,
+                  partial.data() + b * width);
   });
   std::fill_n(sums, columns, 0.0);
   for (int64_t b = 0; b < blocks; ++b) {
-    for (int64_t j = 0; j < columns; ++j) sums[j] += partial[static_cast<size_t>(b * columns + j)];
+    for (int64_t j = 0; j < columns; ++j) sums[j] += partial[static_cast<size_t>(b * width + j)];
   }
+}
+
+template <class T>
+void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c) {
+  const Tiles<T>& tile = tiles<T>();
+  constexpr int64_t kRows = 128, kBlockM = 64, kBlockN = 256;  // of a chunk and of a unit
+  constexpr int64_t kPerFlush = 32;                            // chunks summed in T before double takes over
+  const int64_t width = tile.width();
+  const int64_t down = (m + kBlockM - 1) / kBlockM, across = (n + kBlockN - 1) / kBlockN;
+  if (k == 0) std::fill_n(c, m * n, T{});
+  if (k == 0 || m * n == 0) return;
+  parallel_for(down * across, [&](int64_t unit) {
+    const int64_t i0 = unit % down * kBlockM, j0 = unit / down * kBlockN;
+    const int64_t rows = std::min(kBlockM, m - i0), columns = std::min(kBlockN, n - j0);
+    const int64_t padded = (columns + width - 1) / width * width;
+    const bool flushes = k > kRows * kPerFlush;
+    const Scratch<T> left(kRows * kBlockM), right(kRows * padded), sums(rows * padded);
+    const Scratch<double> total(flushes ? rows * padded : 0);
+    for (int64_t begin = 0, chunk = 0; begin < k; begin += kRows, ++chunk) {
+      const int64_t count = std::min(kRows, k - begin);
+      // Copied, because rows of many columns would share few sets of the caches.
+      for (int64_t r = 0; r < count; ++r) {
+        std::copy_n(a + (begin + r) * m + i0, rows, left.data() + r * kBlockM);
+        const T* const from = b + (begin + r) * n + j0;
+        for (int64_t j = 0; j < padded; j += width) {
+          T* const to = right.data() + j * kRows + r * width;
+          const int64_t valid = std::min(width, columns - j);
+          std::copy_n(from + j, valid, to);
+          std::fill(to + valid, to + width, T{});
+        }
+      }
+      OuterTile<T> t;
+      t.a_stride = kBlockM;
+      t.b_stride = width;
+      t.pixels = count;
+      t.c_stride = padded;
+      t.columns = width;
+      t.accumulate = chunk % kPerFlush != 0;
+      for (int64_t j = 0; j < padded; j += width) {
+        t.b = right.data() + j * kRows;
+        for (int64_t i = 0; i < rows; i += tile.rows) {
+          t.a = left.data() + i;
+          t.rows = std::min(tile.rows, rows - i);
+          t.c = sums.data() + i * padded + j;
+          tile.outer(t);
+        }
+      }
+      if (flushes && ((chunk + 1) % kPerFlush == 0 || begin + count == k)) {
+        for (int64_t i = 0; i < rows * padded; ++i) {
+          total.data()[i] = (chunk < kPerFlush ? 0.0 : total.data()[i]) + static_cast<double>(sums.data()[i]);
+        }
+      }
+    }
+    for (int64_t i = 0; i < rows; ++i) {
+      T* const to = c + (i0 + i) * n + j0;
+      if (!flushes) {
+        std::copy_n(sums.data() + i * padded, columns, to);
+      } else {
+        for (int64_t j = 0; j < columns; ++j) to[j] = static_cast<T>(total.data()[i * padded + j]);
+      }
+    }
+  });
 }
 
 namespace {
@@ -123,6 +185,8 @@ void gemm(int64_t m, int64_t n, int64_t k, const MatrixView<T>& a, const MatrixV
 
 template void column_sums(const float*, int64_t, int64_t, double*);
 template void column_sums(const double*, int64_t, int64_t, double*);
+template void gemm_tn(int64_t, int64_t, int64_t, const float*, const float*, float*);
+template void gemm_tn(int64_t, int64_t, int64_t, const double*, const double*, double*);
 template void gemm(int64_t, int64_t, int64_t, const MatrixView<float>&, const MatrixView<float>&,
                    const float*, float*, bool);
 template void gemm(int64_t, int64_t, int64_t, const MatrixView<double>&, const MatrixView<double>&,

@@ -10,6 +10,10 @@ namespace opaline::kernels {
 template <class T>
 void column_sums(const T* x, int64_t rows, int64_t columns, double* sums);
 
+/// c (m x n) = a^T b for contiguous a (k x m) and b (k x n): the gradient of a matrix of weights.
+template <class T>
+void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c);
+
 /// A matrix in memory: element (i, j) at data[i * row_stride + j * column_stride].
 template <class T>
 struct MatrixView {

@@ -278,7 +278,7 @@ HWY_ATTR void weight_gradient(const T* from, int64_t frequency, int64_t columns,
 }
 
 template <class T, int kOutputs>
-WinogradKernels<T> make_kernels() {
+WinogradKernels<T> make_winograd_kernels() {
   return {kOutputs,
           Winograd<kOutputs>::kTile,
           static_cast<int64_t>(hn::Lanes(hn::ScalableTag<T>())),
@@ -291,15 +291,15 @@ WinogradKernels<T> make_kernels() {
 
 template <class T>
 WinogradKernels<T> select(int outputs) {
-  if (outputs == 2) return make_kernels<T, 2>();
-  if (outputs == 4) return make_kernels<T, 4>();
-  return make_kernels<T, 6>();
+  if (outputs == 2) return make_winograd_kernels<T, 2>();
+  if (outputs == 4) return make_winograd_kernels<T, 4>();
+  return make_winograd_kernels<T, 6>();
 }
 
-WinogradKernels<float> select_float(int outputs) {
+WinogradKernels<float> winograd_float(int outputs) {
   return select<float>(outputs);
 }
-WinogradKernels<double> select_double(int outputs) {
+WinogradKernels<double> winograd_double(int outputs) {
   return select<double>(outputs);
 }
 
@@ -310,8 +310,8 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace opaline::kernels {
 
-HWY_EXPORT(select_float);
-HWY_EXPORT(select_double);
+HWY_EXPORT(winograd_float);
+HWY_EXPORT(winograd_double);
 
 namespace {
 
@@ -327,12 +327,12 @@ const WinogradKernels<T>& kept(int outputs, const Select& select) {
 
 template <>
 const WinogradKernels<float>& winograd_kernels<float>(int outputs) {
-  return kept<float>(outputs, [](int m) { return HWY_DYNAMIC_DISPATCH(select_float)(m); });
+  return kept<float>(outputs, [](int m) { return HWY_DYNAMIC_DISPATCH(winograd_float)(m); });
 }
 
 template <>
 const WinogradKernels<double>& winograd_kernels<double>(int outputs) {
-  return kept<double>(outputs, [](int m) { return HWY_DYNAMIC_DISPATCH(select_double)(m); });
+  return kept<double>(outputs, [](int m) { return HWY_DYNAMIC_DISPATCH(winograd_double)(m); });
 }
 
 }  // namespace opaline::kernels

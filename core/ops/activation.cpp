@@ -10,8 +10,8 @@ namespace opaline {
 
 Tensor relu(const Tensor& x) {
   return pointwise(
-      "relu", x, Saved::kOutput, []<class T>(T v) { return v < T{} ? T{} : v; },  // NaN passes
-      []<class T>(T dy, T y) { return y <= T{} ? T{} : dy; });                    // as PyTorch where y is NaN
+      "relu", x, Saved::kInput, []<class T>(T v) { return v < T{} ? T{} : v; },  // NaN passes
+      []<class T>(T dy, T v) { return v <= T{} ? T{} : dy; });                   // as PyTorch where v is NaN
 }
 
 Tensor leaky_relu(const Tensor& x, double slope) {

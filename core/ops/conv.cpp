@@ -78,24 +78,26 @@ Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const C
                           bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
   });
   if (!should_record({&x, &weight, &bias})) return y;
-  return record(
-      "conv2d", y, {x, weight, bias},
-      [s, numerics, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
-        std::vector<Tensor> grads(3);
-        dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
-          if (needs[0]) {
-            grads[0] = Tensor(x.shape(), x.dtype());
-            kernels::conv_input_gradient(s, numerics, dy.data<T>(), weight.data<T>(),
-                                         static_cast<const T*>(nullptr), grads[0].data<T>());
-          }
-          if (needs[1]) {
-            grads[1] = Tensor(weight.shape(), weight.dtype());
-            kernels::conv_weight_gradient(s, numerics, x.data<T>(), dy.data<T>(), grads[1].data<T>());
-          }
-        });
-        if (needs[2]) grads[2] = bias_gradient(dy);
-        return grads;
-      });
+  return record("conv2d", y, {x, weight, bias},
+                [s, numerics, kept = x.saved(), weight = weight.detach()](const Tensor& dy,
+                                                                          std::span<const char> needs) {
+                  const Tensor input = needs[1] ? kept.restored() : kept;
+                  std::vector<Tensor> grads(3);
+                  dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
+                    if (needs[0]) {
+                      grads[0] = Tensor(input.shape(), input.dtype());
+                      kernels::conv_input_gradient(s, numerics, dy.data<T>(), weight.data<T>(),
+                                                   static_cast<const T*>(nullptr), grads[0].data<T>());
+                    }
+                    if (needs[1]) {
+                      grads[1] = Tensor(weight.shape(), weight.dtype());
+                      kernels::conv_weight_gradient(s, numerics, input.data<T>(), dy.data<T>(),
+                                                    grads[1].data<T>());
+                    }
+                  });
+                  if (needs[2]) grads[2] = bias_gradient(dy);
+                  return grads;
+                });
 }
 
 // The forward pass is the input gradient of a convolution whose input is this one's output, and the other way
@@ -133,24 +135,26 @@ Tensor conv_transpose2d(const Tensor& x, const Tensor& weight, const Tensor& bia
                                  bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
   });
   if (!should_record({&x, &weight, &bias})) return y;
-  return record(
-      "conv_transpose2d", y, {x, weight, bias},
-      [s, numerics, x = x.detach(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
-        std::vector<Tensor> grads(3);
-        dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
-          if (needs[0]) {
-            grads[0] = Tensor(x.shape(), x.dtype());
-            kernels::conv_forward(s, numerics, dy.data<T>(), weight.data<T>(), static_cast<const T*>(nullptr),
-                                  grads[0].data<T>());
-          }
-          if (needs[1]) {
-            grads[1] = Tensor(weight.shape(), weight.dtype());
-            kernels::conv_weight_gradient(s, numerics, dy.data<T>(), x.data<T>(), grads[1].data<T>());
-          }
-        });
-        if (needs[2]) grads[2] = bias_gradient(dy);
-        return grads;
-      });
+  return record("conv_transpose2d", y, {x, weight, bias},
+                [s, numerics, kept = x.saved(), weight = weight.detach()](const Tensor& dy,
+                                                                          std::span<const char> needs) {
+                  const Tensor input = needs[1] ? kept.restored() : kept;
+                  std::vector<Tensor> grads(3);
+                  dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
+                    if (needs[0]) {
+                      grads[0] = Tensor(input.shape(), input.dtype());
+                      kernels::conv_forward(s, numerics, dy.data<T>(), weight.data<T>(),
+                                            static_cast<const T*>(nullptr), grads[0].data<T>());
+                    }
+                    if (needs[1]) {
+                      grads[1] = Tensor(weight.shape(), weight.dtype());
+                      kernels::conv_weight_gradient(s, numerics, dy.data<T>(), input.data<T>(),
+                                                    grads[1].data<T>());
+                    }
+                  });
+                  if (needs[2]) grads[2] = bias_gradient(dy);
+                  return grads;
+                });
 }
 
 Tensor reflection_pad2d(const Tensor& x, int64_t padding) {

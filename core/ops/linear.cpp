@@ -4,7 +4,6 @@
 #include <vector>
 
 #include "core/autograd.h"
-#include "core/kernels/direct.h"
 #include "core/kernels/gemm.h"
 #include "core/parallel.h"
 
@@ -31,21 +30,19 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
   });
   if (!should_record({&x, &weight, &bias})) return y;
   return record("linear", y, {x, weight, bias},
-                [rows, in, out, x = x.detach(), weight = weight.detach()](const Tensor& dy,
-                                                                          std::span<const char> needs) {
+                [rows, in, out, kept = x.saved(), weight = weight.detach()](const Tensor& dy,
+                                                                            std::span<const char> needs) {
                   std::vector<Tensor> grads(3);
                   dispatch_floating("linear", dy.dtype(), [&]<class T>() {
                     if (needs[0]) {
-                      grads[0] = Tensor(x.shape(), x.dtype());
+                      grads[0] = Tensor(kept.shape(), dy.dtype());
                       kernels::gemm<T>(rows, in, out, {dy.data<T>(), out, 1}, {weight.data<T>(), in, 1},
                                        nullptr, grads[0].data<T>());
                     }
                     if (needs[1]) {
-                      // A 1x1 convolution over a single row of `rows` pixels.
+                      const Tensor input = kept.restored();
                       grads[1] = Tensor(weight.shape(), weight.dtype());
-                      const kernels::ConvShape s{
-                          .n = 1, .h = 1, .w = rows, .in = in, .out = out, .kernel_h = 1, .kernel_w = 1};
-                      kernels::direct_weight_gradient(s, x.data<T>(), dy.data<T>(), grads[1].data<T>());
+                      kernels::gemm_tn(out, in, rows, dy.data<T>(), input.data<T>(), grads[1].data<T>());
                     }
                     if (needs[2]) {
                       std::vector<double> sums(static_cast<size_t>(out));
@@ -101,20 +98,22 @@ Tensor matmul(const Tensor& a, const Tensor& b, const MatmulOptions& options) {
   shape[shape.size() - 1] = b.size(tb ? -2 : -1);
   const Tensor c = batched_product(a, ta, b, tb, shape);
   if (!should_record({&a, &b})) return c;
-  return record("matmul", c, {a, b},
-                [a = a.detach(), b = b.detach(), ta, tb](const Tensor& dc, std::span<const char> needs) {
-                  std::vector<Tensor> grads(2);
-                  // With A' = op(a), B' = op(b): dA' = dC B'^T, dB' = A'^T dC, transposed back where op did.
-                  if (needs[0]) {
-                    grads[0] = ta ? batched_product(b, tb, dc, true, a.shape())
-                                  : batched_product(dc, false, b, !tb, a.shape());
-                  }
-                  if (needs[1]) {
-                    grads[1] = tb ? batched_product(dc, true, a, ta, b.shape())
-                                  : batched_product(a, !ta, dc, false, b.shape());
-                  }
-                  return grads;
-                });
+  return record(
+      "matmul", c, {a, b},
+      [kept_a = a.saved(), kept_b = b.saved(), ta, tb](const Tensor& dc, std::span<const char> needs) {
+        const Tensor left = kept_a.restored(), right = kept_b.restored();
+        std::vector<Tensor> grads(2);
+        // With A' = op(a), B' = op(b): dA' = dC B'^T, dB' = A'^T dC, transposed back where op did.
+        if (needs[0]) {
+          grads[0] = ta ? batched_product(right, tb, dc, true, left.shape())
+                        : batched_product(dc, false, right, !tb, left.shape());
+        }
+        if (needs[1]) {
+          grads[1] = tb ? batched_product(dc, true, left, ta, right.shape())
+                        : batched_product(left, !ta, dc, false, right.shape());
+        }
+        return grads;
+      });
 }
 
 }  // namespace opaline

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
 #include <vector>
 
 #include "core/autograd.h"
+#include "core/kernels/norm.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -18,120 +20,182 @@ void check_channels(std::string_view operation, std::string_view what, const Ten
   }
 }
 
-/// sums[k][j] = sum over rows of f(row, j)[k], in double: blocks of rows, joined in order. One group at a
-/// time; `f` adds its terms for a row to `k` arrays of `columns`.
-template <class F>
-std::vector<double> row_sums(int64_t rows, int64_t columns, int64_t terms, const F& add_row) {
-  constexpr int64_t kBlock = 512;
-  const auto width = static_cast<size_t>(terms * columns);
-  const int64_t blocks = (rows + kBlock - 1) / kBlock;
-  std::vector<double> partial(static_cast<size_t>(blocks) * width, 0.0);
-  parallel_for(blocks, [&](int64_t b) {
-    double* const to = partial.data() + static_cast<size_t>(b) * width;
-    for (int64_t row = b * kBlock; row < std::min(rows, (b + 1) * kBlock); ++row) add_row(row, to);
-  });
-  std::vector<double> total(width, 0.0);
-  for (int64_t b = 0; b < blocks; ++b) {
-    for (size_t j = 0; j < width; ++j) total[j] += partial[static_cast<size_t>(b) * width + j];
-  }
-  return total;
-}
+/// What batch and instance norm share: the values of a channel in a group of rows (all of the batch, or one
+/// image) are normalised together, by statistics that are kept for the backward pass.
+class ChannelNorm {
+ public:
+  ChannelNorm(std::string_view operation, int64_t groups, int64_t rows, int64_t columns, bool relu)
+      : operation_(operation),
+        groups_(groups),
+        rows_(rows),
+        columns_(columns),
+        relu_(relu),
+        mean_(static_cast<size_t>(groups * columns)),
+        inverse_(mean_.size()) {}
 
-/// Mean and biased variance of each channel over `rows` rows. Values are shifted by the first row, so that a
-/// variance far below the square of the mean survives a single pass.
-template <class T>
-void channel_statistics(const T* x, int64_t rows, int64_t columns, double* mean, double* variance) {
-  const auto sums = row_sums(rows, columns, 2, [&](int64_t row, double* to) {
-    const T* const v = x + row * columns;
-    for (int64_t j = 0; j < columns; ++j) {
-      const double d = static_cast<double>(v[j]) - static_cast<double>(x[j]);
-      to[j] += d;
-      to[columns + j] += d * d;
+  double& mean(int64_t i) { return mean_[static_cast<size_t>(i)]; }
+  /// The biased variance, until prepare() turns it into 1 / sqrt(variance + eps).
+  double& variance(int64_t i) { return inverse_[static_cast<size_t>(i)]; }
+
+  /// Mean and biased variance of x. Values are shifted by the first row, so that a variance far below the
+  /// square of the mean survives a single pass.
+  template <class T>
+  void measure(const T* x) {
+    const auto n = static_cast<double>(rows_);
+    for (int64_t g = 0; g < groups_; ++g) {
+      const T* const group = x + g * rows_ * columns_;
+      const std::vector<double> sums = sum_rows<T>(2, [&](int64_t first, int64_t count, double* to) {
+        kernels::norm_kernels<T>().moments(group + first * columns_, count, columns_, group, to);
+      });
+      for (int64_t j = 0; j < columns_; ++j) {
+        const double shifted = sums[static_cast<size_t>(j)] / n;
+        mean(g * columns_ + j) = static_cast<double>(group[j]) + shifted;
+        const double v = sums[sums.size() / 2 + static_cast<size_t>(j)] / n - shifted * shifted;
+        variance(g * columns_ + j) = v < 0.0 ? 0.0 : v;  // rounding; NaN passes
+      }
     }
-  });
-  const auto n = static_cast<double>(rows);
-  for (int64_t j = 0; j < columns; ++j) {
-    const double shifted = sums[static_cast<size_t>(j)] / n;
-    mean[j] = static_cast<double>(x[j]) + shifted;
-    const double v = sums[static_cast<size_t>(columns + j)] / n - shifted * shifted;
-    variance[j] = v < 0.0 ? 0.0 : v;  // rounding; NaN passes
   }
-}
 
-/// y = (x - mean) * scale + offset for each channel; scale = weight / sqrt(var + eps).
-template <class T>
-void apply_channels(const T* x, int64_t rows, int64_t columns, const double* mean, const double* inverse,
-                    const T* weight, const T* bias, T* y) {
-  std::vector<T> center(static_cast<size_t>(columns)), scale(center.size()), offset(center.size());
-  for (int64_t j = 0; j < columns; ++j) {
-    const auto k = static_cast<size_t>(j);
-    center[k] = static_cast<T>(mean[j]);
-    scale[k] = static_cast<T>(inverse[j] * (weight != nullptr ? static_cast<double>(weight[j]) : 1.0));
-    // What rounding the mean to T lost goes into the offset.
-    offset[k] = static_cast<T>((bias != nullptr ? static_cast<double>(bias[j]) : 0.0) +
-                               (static_cast<double>(center[k]) - mean[j]) * static_cast<double>(scale[k]));
-  }
-  const T* const c = center.data();
-  const T* const s = scale.data();
-  const T* const o = offset.data();
-  parallel_blocks(rows, std::max<int64_t>(1, 32768 / std::max<int64_t>(columns, 1)),
-                  [&](int64_t begin, int64_t end) {
-                    for (int64_t row = begin; row < end; ++row) {
-                      const T* const from = x + row * columns;
-                      T* const to = y + row * columns;
-                      for (int64_t j = 0; j < columns; ++j) to[j] = (from[j] - c[j]) * s[j] + o[j];
-                    }
-                  });
-}
-
-/// Gradients of a normalisation over rows. With xhat = (x - mean) * inverse:
-/// dx = weight * inverse * (dy - mean(dy) - xhat * mean(dy * xhat)), without the means where the statistics
-/// were constants (`through_statistics` false). sums receives [sum dy, sum dy * xhat] a channel.
-template <class T>
-void channel_gradient(const T* x, const T* dy, int64_t rows, int64_t columns, const double* mean,
-                      const double* inverse, const T* weight, bool through_statistics,
-                      std::vector<double>& sums, T* dx) {
-  sums = row_sums(rows, columns, 2, [&](int64_t row, double* to) {
-    const T* const v = x + row * columns;
-    const T* const g = dy + row * columns;
-    for (int64_t j = 0; j < columns; ++j) {
-      const auto d = static_cast<double>(g[j]);
-      to[j] += d;
-      to[columns + j] += d * (static_cast<double>(v[j]) - mean[j]) * inverse[j];
+  /// The coefficients of y = (x - center) * scale + offset. `weight` and `bias` may be null.
+  template <class T>
+  void prepare(double eps, const T* weight, const T* bias) {
+    coefficients_ = Tensor({3, groups_ * columns_}, dtype_of<T>());
+    T* const center = coefficients_.data<T>();
+    T* const scale = center + groups_ * columns_;
+    T* const offset = scale + groups_ * columns_;
+    for (int64_t i = 0; i < groups_ * columns_; ++i) {
+      double& inverse = inverse_[static_cast<size_t>(i)];
+      inverse = 1.0 / std::sqrt(inverse + eps);
+      const int64_t j = i % columns_;
+      center[i] = static_cast<T>(mean(i));
+      scale[i] = static_cast<T>(inverse * (weight != nullptr ? static_cast<double>(weight[j]) : 1.0));
+      // What rounding the mean to T lost goes into the offset.
+      offset[i] = static_cast<T>((bias != nullptr ? static_cast<double>(bias[j]) : 0.0) +
+                                 (static_cast<double>(center[i]) - mean(i)) * static_cast<double>(scale[i]));
     }
-  });
-  if (dx == nullptr) return;
-  // dx = a * dy - b * (x - mean) - c
-  std::vector<T> center(static_cast<size_t>(columns)), a(center.size()), b(center.size()), c(center.size());
-  for (int64_t j = 0; j < columns; ++j) {
-    const auto k = static_cast<size_t>(j);
-    const double scale = inverse[j] * (weight != nullptr ? static_cast<double>(weight[j]) : 1.0);
-    const auto n = static_cast<double>(rows);
-    center[k] = static_cast<T>(mean[j]);
-    a[k] = static_cast<T>(scale);
-    b[k] = static_cast<T>(through_statistics ? scale * inverse[j] * sums[static_cast<size_t>(columns + j)] / n
-                                             : 0.0);
-    c[k] = static_cast<T>(through_statistics ? scale * sums[k] / n : 0.0);
   }
-  parallel_blocks(rows, std::max<int64_t>(1, 32768 / std::max<int64_t>(columns, 1)),
-                  [&](int64_t begin, int64_t end) {
-                    for (int64_t row = begin; row < end; ++row) {
-                      const T* const v = x + row * columns;
-                      const T* const g = dy + row * columns;
-                      T* const to = dx + row * columns;
-                      for (int64_t j = 0; j < columns; ++j) {
-                        const auto k = static_cast<size_t>(j);
-                        to[j] = a[k] * g[j] - b[k] * (v[j] - center[k]) - c[k];
-                      }
-                    }
-                  });
-}
 
-template <class T>
-Tensor to_tensor(const double* values, int64_t count) {
-  Tensor result({count}, dtype_of<T>());
-  std::transform(values, values + count, result.data<T>(), [](double v) { return static_cast<T>(v); });
-  return result;
+  Tensor apply(const Tensor& x) const {
+    Tensor y(x.shape(), x.dtype());
+    dispatch_floating(operation_, x.dtype(), [&]<class T>() {
+      for_blocks<T>([&](int64_t group, int64_t at, int64_t count) {
+        kernels::norm_kernels<T>().apply(x.data<T>() + at, count, columns_, map<T>(group), y.data<T>() + at);
+      });
+    });
+    return y;
+  }
+
+  /// The gradients of x, weight and bias. With xhat = (x - mean) * inverse and g the gradient that the
+  /// rectifier passes: dx = weight * inverse * (g - mean(g) - xhat * mean(g * xhat)), without the means where
+  /// the statistics were constants (`through_statistics` false).
+  std::vector<Tensor> gradients(const Tensor& x, const Tensor& dy, std::span<const char> needs,
+                                const Tensor& weight, bool through_statistics) const {
+    std::vector<Tensor> grads(3);
+    dispatch_floating(operation_, x.dtype(), [&]<class T>() {
+      const kernels::NormKernels<T>& k = kernels::norm_kernels<T>();
+      std::vector<double> total_weight(static_cast<size_t>(columns_), 0.0),
+          total_bias(total_weight.size(), 0.0);
+      // dx = a * (g - b * (x - center) - c): of a single value exactly 0
+      std::vector<T> a(mean_.size()), b(mean_.size()), c(mean_.size());
+      for (int64_t group = 0; group < groups_; ++group) {
+        const int64_t at = group * rows_ * columns_;
+        const std::vector<double> sums = sum_rows<T>(2, [&](int64_t first, int64_t count, double* to) {
+          k.gradient_sums(x.data<T>() + at + first * columns_, dy.data<T>() + at + first * columns_, count,
+                          columns_, map<T>(group), to);
+        });
+        const auto n = static_cast<double>(rows_);
+        for (int64_t j = 0; j < columns_; ++j) {
+          const auto i = static_cast<size_t>(group * columns_ + j);
+          const double sum = sums[static_cast<size_t>(j)];
+          const double shift = static_cast<double>(coefficients_.data<T>()[i]) - mean_[i];
+          const double product = (sums[sums.size() / 2 + static_cast<size_t>(j)] + shift * sum) * inverse_[i];
+          total_weight[static_cast<size_t>(j)] += product;
+          total_bias[static_cast<size_t>(j)] += sum;
+          const double scale =
+              inverse_[i] * (weight.defined() ? static_cast<double>(weight.data<T>()[j]) : 1.0);
+          const double slope = through_statistics ? inverse_[i] * product / n : 0.0;
+          a[i] = static_cast<T>(scale);
+          b[i] = static_cast<T>(slope);
+          c[i] = static_cast<T>((through_statistics ? sum / n : 0.0) + slope * shift);
+        }
+      }
+      if (needs[1]) grads[1] = to_tensor<T>(total_weight);
+      if (needs[2]) grads[2] = to_tensor<T>(total_bias);
+      if (!needs[0]) return;
+      grads[0] = Tensor(x.shape(), x.dtype());
+      for_blocks<T>([&](int64_t group, int64_t at, int64_t count) {
+        const auto i = static_cast<size_t>(group * columns_);
+        k.gradient(x.data<T>() + at, dy.data<T>() + at, count, columns_, map<T>(group), a.data() + i,
+                   b.data() + i, c.data() + i, grads[0].data<T>() + at);
+      });
+    });
+    return grads;
+  }
+
+ private:
+  template <class T>
+  kernels::ChannelMap<T> map(int64_t group) const {
+    const T* const center = coefficients_.data<T>() + group * columns_;
+    return {center, center + groups_ * columns_, center + 2 * groups_ * columns_, relu_};
+  }
+
+  /// `terms` padded arrays of sums over the rows of a group: blocks of rows, joined in order.
+  template <class T, class F>
+  std::vector<double> sum_rows(int64_t terms, const F& add_rows) const {
+    constexpr int64_t kBlock = 512;
+    const auto width = static_cast<size_t>(terms * kernels::norm_kernels<T>().padded(columns_));
+    const int64_t blocks = (rows_ + kBlock - 1) / kBlock;
+    std::vector<double> partial(static_cast<size_t>(blocks) * width, 0.0);
+    parallel_for(blocks, [&](int64_t block) {
+      add_rows(block * kBlock, std::min(kBlock, rows_ - block * kBlock),
+               partial.data() + static_cast<size_t>(block) * width);
+    });
+    std::vector<double> total(width, 0.0);
+    for (int64_t block = 0; block < blocks; ++block) {
+      for (size_t j = 0; j < width; ++j) total[j] += partial[static_cast<size_t>(block) * width + j];
+    }
+    return total;
+  }
+
+  /// Calls f(group, first element, rows) for blocks of rows that fit the caches.
+  template <class T, class F>
+  void for_blocks(const F& f) const {
+    const int64_t block = std::max<int64_t>(1, 32768 / std::max<int64_t>(columns_, 1));
+    const int64_t blocks = (rows_ + block - 1) / block;
+    parallel_for(groups_ * blocks, [&](int64_t i) {
+      const int64_t group = i / blocks, first = i % blocks * block;
+      f(group, (group * rows_ + first) * columns_, std::min(block, rows_ - first));
+    });
+  }
+
+  template <class T>
+  static Tensor to_tensor(const std::vector<double>& values) {
+    Tensor result({static_cast<int64_t>(values.size())}, dtype_of<T>());
+    std::transform(values.begin(), values.end(), result.data<T>(),
+                   [](double v) { return static_cast<T>(v); });
+    return result;
+  }
+
+  std::string_view operation_;
+  int64_t groups_, rows_, columns_;
+  bool relu_;
+  std::vector<double> mean_, inverse_;
+  Tensor coefficients_;  // 3 x (groups * columns): center, scale, offset
+};
+
+/// y = norm(x), with its place in the graph.
+Tensor finish(std::string_view operation, const std::shared_ptr<const ChannelNorm>& norm, const Tensor& x,
+              const Tensor& weight, const Tensor& bias, bool through_statistics) {
+  const Tensor y = norm->apply(x);
+  if (!should_record({&x, &weight, &bias})) return y;
+  const Tensor kept = x.saved();
+  return record(
+      operation, y, {x, weight, bias},
+      [norm, kept, weight = weight.defined() ? weight.detach() : Tensor(), through_statistics](
+          const Tensor& dy, std::span<const char> needs) {
+        return norm->gradients(kept.restored(), dy, needs, weight, through_statistics);
+      },
+      [norm, kept] { return norm->apply(kept.restored()); });
 }
 
 template <class T>
@@ -140,85 +204,6 @@ const T* data_or_null(const Tensor& tensor) {
 }
 
 }  // namespace
-
-Tensor layer_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, double eps) {
-  if (x.dim() < 1 || x.size(-1) < 1) fail("layer_norm", "input has shape {}", to_string(x.shape()));
-  check_channels("layer_norm", "weight", weight, x);
-  check_channels("layer_norm", "bias", bias, x);
-  const int64_t columns = x.size(-1), rows = x.numel() / columns;
-  std::vector<double> mean(static_cast<size_t>(rows)), inverse(mean.size());
-  Tensor y(x.shape(), x.dtype());
-  dispatch_floating("layer_norm", x.dtype(), [&]<class T>() {
-    const T* const w = weight.data<T>();
-    const T* const b = bias.data<T>();
-    parallel_blocks(rows, 64, [&](int64_t begin, int64_t end) {
-      for (int64_t row = begin; row < end; ++row) {
-        const T* const from = x.data<T>() + row * columns;
-        T* const to = y.data<T>() + row * columns;
-        double total = 0.0, squares = 0.0;
-        for (int64_t j = 0; j < columns; ++j) total += static_cast<double>(from[j]);
-        const double m = total / static_cast<double>(columns);
-        for (int64_t j = 0; j < columns; ++j) {
-          const double d = static_cast<double>(from[j]) - m;
-          squares += d * d;
-        }
-        const double i = 1.0 / std::sqrt(squares / static_cast<double>(columns) + eps);
-        for (int64_t j = 0; j < columns; ++j) {
-          to[j] = static_cast<T>((static_cast<double>(from[j]) - m) * i * static_cast<double>(w[j]) +
-                                 static_cast<double>(b[j]));
-        }
-        mean[static_cast<size_t>(row)] = m;
-        inverse[static_cast<size_t>(row)] = i;
-      }
-    });
-  });
-  if (!should_record({&x, &weight, &bias})) return y;
-  return record(
-      "layer_norm", y, {x, weight, bias},
-      [x = x.detach(), weight = weight.detach(), mean = std::move(mean), inverse = std::move(inverse), rows,
-       columns](const Tensor& dy, std::span<const char> needs) {
-        std::vector<Tensor> grads(3);
-        if (needs[0]) grads[0] = Tensor(x.shape(), x.dtype());
-        dispatch_floating("layer_norm", dy.dtype(), [&]<class T>() {
-          const auto n = static_cast<double>(columns);
-          if (needs[0]) {
-            parallel_blocks(rows, 64, [&](int64_t begin, int64_t end) {
-              for (int64_t row = begin; row < end; ++row) {
-                const T* const v = x.data<T>() + row * columns;
-                const T* const g = dy.data<T>() + row * columns;
-                T* const to = grads[0].data<T>() + row * columns;
-                const double m = mean[static_cast<size_t>(row)], i = inverse[static_cast<size_t>(row)];
-                double sum_g = 0.0, sum_gx = 0.0;
-                for (int64_t j = 0; j < columns; ++j) {
-                  const double gw = static_cast<double>(g[j]) * static_cast<double>(weight.data<T>()[j]);
-                  sum_g += gw;
-                  sum_gx += gw * (static_cast<double>(v[j]) - m) * i;
-                }
-                for (int64_t j = 0; j < columns; ++j) {
-                  const double gw = static_cast<double>(g[j]) * static_cast<double>(weight.data<T>()[j]);
-                  const double xhat = (static_cast<double>(v[j]) - m) * i;
-                  to[j] = static_cast<T>(i * (gw - sum_g / n - xhat * sum_gx / n));
-                }
-              }
-            });
-          }
-          if (needs[1] || needs[2]) {
-            const auto sums = row_sums(rows, columns, 2, [&](int64_t row, double* to) {
-              const T* const v = x.data<T>() + row * columns;
-              const T* const g = dy.data<T>() + row * columns;
-              const double m = mean[static_cast<size_t>(row)], i = inverse[static_cast<size_t>(row)];
-              for (int64_t j = 0; j < columns; ++j) {
-                to[j] += static_cast<double>(g[j]);
-                to[columns + j] += static_cast<double>(g[j]) * (static_cast<double>(v[j]) - m) * i;
-              }
-            });
-            grads[1] = to_tensor<T>(sums.data() + columns, columns);
-            grads[2] = to_tensor<T>(sums.data(), columns);
-          }
-        });
-        return grads;
-      });
-}
 
 Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Tensor running_mean,
                   Tensor running_var, const BatchNormOptions& options) {
@@ -235,53 +220,32 @@ Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Ten
   const int64_t columns = x.size(-1), rows = columns == 0 ? 0 : x.numel() / columns;
   if (options.training && rows < 1)
     fail("batch_norm", "input {} has no values to normalise", to_string(x.shape()));
-  std::vector<double> mean(static_cast<size_t>(columns)), inverse(mean.size());
-  Tensor y(x.shape(), x.dtype());
+  const auto norm = std::make_shared<ChannelNorm>("batch_norm", 1, rows, columns, options.relu);
   dispatch_floating("batch_norm", x.dtype(), [&]<class T>() {
-    if (options.training) {
-      channel_statistics(x.data<T>(), rows, columns, mean.data(), inverse.data());
-      if (tracked) {
-        const auto n = static_cast<double>(rows);
-        for (int64_t j = 0; j < columns; ++j) {
-          T& m = running_mean.data<T>()[j];
-          T& v = running_var.data<T>()[j];
-          const auto k = static_cast<size_t>(j);
-          m = static_cast<T>((1.0 - options.momentum) * static_cast<double>(m) + options.momentum * mean[k]);
-          if (rows > 1) {
-            v = static_cast<T>((1.0 - options.momentum) * static_cast<double>(v) +
-                               options.momentum * inverse[k] * n / (n - 1.0));
-          }
+    if (options.training) norm->measure(x.data<T>());
+    const auto n = static_cast<double>(rows);
+    for (int64_t j = 0; j < columns; ++j) {
+      if (!options.training) {
+        norm->mean(j) = static_cast<double>(running_mean.data<T>()[j]);
+        norm->variance(j) = static_cast<double>(running_var.data<T>()[j]);
+      } else if (tracked) {
+        T& m = running_mean.data<T>()[j];
+        T& v = running_var.data<T>()[j];
+        m = static_cast<T>((1.0 - options.momentum) * static_cast<double>(m) +
+                           options.momentum * norm->mean(j));
+        if (rows > 1) {
+          v = static_cast<T>((1.0 - options.momentum) * static_cast<double>(v) +
+                             options.momentum * norm->variance(j) * n / (n - 1.0));
         }
       }
-    } else {
-      for (size_t k = 0; k < mean.size(); ++k) {
-        mean[k] = static_cast<double>(running_mean.data<T>()[k]);
-        inverse[k] = static_cast<double>(running_var.data<T>()[k]);
-      }
     }
-    for (double& v : inverse) v = 1.0 / std::sqrt(v + options.eps);
-    apply_channels(x.data<T>(), rows, columns, mean.data(), inverse.data(), weight.data<T>(), bias.data<T>(),
-                   y.data<T>());
+    norm->prepare(options.eps, weight.data<T>(), bias.data<T>());
   });
-  if (!should_record({&x, &weight, &bias})) return y;
-  return record(
-      "batch_norm", y, {x, weight, bias},
-      [x = x.detach(), weight = weight.detach(), mean = std::move(mean), inverse = std::move(inverse), rows,
-       columns, training = options.training](const Tensor& dy, std::span<const char> needs) {
-        std::vector<Tensor> grads(3);
-        if (needs[0]) grads[0] = Tensor(x.shape(), x.dtype());
-        dispatch_floating("batch_norm", dy.dtype(), [&]<class T>() {
-          std::vector<double> sums;
-          channel_gradient(x.data<T>(), dy.data<T>(), rows, columns, mean.data(), inverse.data(),
-                           weight.data<T>(), training, sums, needs[0] ? grads[0].data<T>() : nullptr);
-          grads[1] = to_tensor<T>(sums.data() + columns, columns);
-          grads[2] = to_tensor<T>(sums.data(), columns);
-        });
-        return grads;
-      });
+  return finish("batch_norm", norm, x, weight, bias, options.training);
 }
 
-Tensor instance_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, double eps) {
+Tensor instance_norm(const Tensor& x, const Tensor& weight, const Tensor& bias,
+                     const InstanceNormOptions& options) {
   if (x.dim() != 4) fail("instance_norm", "input has shape {}, expected N x H x W x C", to_string(x.shape()));
   if (weight.defined() != bias.defined()) fail("instance_norm", "needs both weight and bias or none");
   if (weight.defined()) {
@@ -290,41 +254,12 @@ Tensor instance_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, 
   }
   const int64_t images = x.size(0), rows = x.size(1) * x.size(2), columns = x.size(3);
   if (x.numel() == 0) fail("instance_norm", "input {} has no values to normalise", to_string(x.shape()));
-  std::vector<double> mean(static_cast<size_t>(images * columns)), inverse(mean.size());
-  Tensor y(x.shape(), x.dtype());
+  const auto norm = std::make_shared<ChannelNorm>("instance_norm", images, rows, columns, options.relu);
   dispatch_floating("instance_norm", x.dtype(), [&]<class T>() {
-    for (int64_t i = 0; i < images; ++i) {
-      const int64_t at = i * rows * columns;
-      channel_statistics(x.data<T>() + at, rows, columns, mean.data() + i * columns,
-                         inverse.data() + i * columns);
-      for (int64_t j = i * columns; j < (i + 1) * columns; ++j) {
-        inverse[static_cast<size_t>(j)] = 1.0 / std::sqrt(inverse[static_cast<size_t>(j)] + eps);
-      }
-      apply_channels(x.data<T>() + at, rows, columns, mean.data() + i * columns, inverse.data() + i * columns,
-                     data_or_null<T>(weight), data_or_null<T>(bias), y.data<T>() + at);
-    }
+    norm->measure(x.data<T>());
+    norm->prepare(options.eps, data_or_null<T>(weight), data_or_null<T>(bias));
   });
-  if (!should_record({&x, &weight, &bias})) return y;
-  return record(
-      "instance_norm", y, {x, weight, bias},
-      [x = x.detach(), weight = weight.defined() ? weight.detach() : Tensor(), mean = std::move(mean),
-       inverse = std::move(inverse), images, rows, columns](const Tensor& dy, std::span<const char> needs) {
-        std::vector<Tensor> grads(3);
-        if (needs[0]) grads[0] = Tensor(x.shape(), x.dtype());
-        dispatch_floating("instance_norm", dy.dtype(), [&]<class T>() {
-          std::vector<double> total(static_cast<size_t>(2 * columns), 0.0), sums;
-          for (int64_t i = 0; i < images; ++i) {
-            const int64_t at = i * rows * columns;
-            channel_gradient(x.data<T>() + at, dy.data<T>() + at, rows, columns, mean.data() + i * columns,
-                             inverse.data() + i * columns, data_or_null<T>(weight), true, sums,
-                             needs[0] ? grads[0].data<T>() + at : nullptr);
-            for (size_t j = 0; j < total.size(); ++j) total[j] += sums[j];
-          }
-          if (needs[1]) grads[1] = to_tensor<T>(total.data() + columns, columns);
-          if (needs[2]) grads[2] = to_tensor<T>(total.data(), columns);
-        });
-        return grads;
-      });
+  return finish("instance_norm", norm, x, weight, bias, true);
 }
 
 }  // namespace opaline

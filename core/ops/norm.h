@@ -13,6 +13,7 @@ struct BatchNormOptions {
   bool training = true;
   double momentum = 0.1;
   double eps = 1e-5;
+  bool relu = false;  ///< the positive part of the result, in the same pass over memory
 };
 
 /// Normalises each channel (the last dimension) over all others; 2d and 1d alike.
@@ -25,8 +26,14 @@ struct BatchNormOptions {
 Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Tensor running_mean,
                   Tensor running_var, const BatchNormOptions& options = {});
 
+struct InstanceNormOptions {
+  double eps = 1e-5;
+  bool relu = false;  ///< as of BatchNormOptions
+};
+
 /// Normalises each channel of each image over its pixels (biased variance). x: N x H x W x C;
 /// weight and bias: C, or both undefined for none.
-Tensor instance_norm(const Tensor& x, const Tensor& weight = {}, const Tensor& bias = {}, double eps = 1e-5);
+Tensor instance_norm(const Tensor& x, const Tensor& weight = {}, const Tensor& bias = {},
+                     const InstanceNormOptions& options = {});
 
 }  // namespace opaline

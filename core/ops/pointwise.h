@@ -35,19 +35,27 @@ void map(const Tensor& a, const Tensor& b, Tensor& y, const F& f) {
 /// What the derivative of a pointwise operation is computed from.
 enum class Saved { kInput, kOutput };
 
-/// y = forward(x) elementwise with dx = backward(dy, saved), where saved is x or y.
+/// y = forward(x) elementwise with dx = backward(dy, saved), where saved is x or y. What saves x only is
+/// recomputed where it is needed again.
 template <class Forward, class Backward>
 Tensor pointwise(std::string_view operation, const Tensor& x, Saved saved, Forward forward,
                  Backward backward) {
-  Tensor y(x.shape(), x.dtype());
-  dispatch_floating(operation, x.dtype(), [&]<class T>() { map<T>(x, y, forward); });
+  const auto compute = [operation, forward](const Tensor& from) {
+    Tensor to(from.shape(), from.dtype());
+    dispatch_floating(operation, from.dtype(), [&]<class T>() { map<T>(from, to, forward); });
+    return to;
+  };
+  const Tensor y = compute(x);
   if (!should_record({&x})) return y;
-  const Tensor kept = (saved == Saved::kInput ? x : y).detach();
-  return record(operation, y, {x}, [operation, kept, backward](const Tensor& dy, std::span<const char>) {
+  const Tensor kept = saved == Saved::kInput ? x.saved() : y.detach();
+  const auto gradient = [operation, kept, backward](const Tensor& dy, std::span<const char>) {
     Tensor dx(dy.shape(), dy.dtype());
-    dispatch_floating(operation, dy.dtype(), [&]<class T>() { map<T>(dy, kept, dx, backward); });
+    const Tensor values = kept.restored();
+    dispatch_floating(operation, dy.dtype(), [&]<class T>() { map<T>(dy, values, dx, backward); });
     return std::vector<Tensor>{dx};
-  });
+  };
+  if (saved == Saved::kOutput) return record(operation, y, {x}, gradient);
+  return record(operation, y, {x}, gradient, [kept, compute] { return compute(kept.restored()); });
 }
 
 }  // namespace opaline

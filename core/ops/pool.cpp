@@ -1,74 +1,69 @@
 #include "core/ops/pool.h"
 
 #include <algorithm>
-#include <cmath>
-#include <memory>
 #include <vector>
 
 #include "core/autograd.h"
+#include "core/kernels/pixel.h"
 #include "core/parallel.h"
 
 namespace opaline {
+namespace {
+
+constexpr int64_t kMaxKernel = 15;
+constexpr int64_t kMaxWindow = kMaxKernel * kMaxKernel;
+
+}  // namespace
 
 Tensor max_pool2d(const Tensor& x, int64_t kernel) {
   if (x.dim() != 4) fail("max_pool2d", "input has shape {}, expected N x H x W x C", to_string(x.shape()));
   const int64_t n = x.size(0), h = x.size(1), w = x.size(2), c = x.size(3);
-  if (kernel < 1 || kernel > h || kernel > w || kernel > 15) {
+  if (kernel < 1 || kernel > h || kernel > w || kernel > kMaxKernel) {
     fail("max_pool2d", "kernel {} does not fit input {} (and at most 15)", kernel, to_string(x.shape()));
   }
-  const int64_t out_h = h / kernel, out_w = w / kernel;
+  const int64_t out_h = h / kernel, out_w = w / kernel, window = kernel * kernel;
   Tensor y({n, out_h, out_w, c}, x.dtype());
-  const bool recording = should_record({&x});
-  // Position of the maximum in its window: a byte, where an index would be as large as the values.
-  auto chosen = std::make_shared<std::vector<uint8_t>>(recording ? static_cast<size_t>(y.numel()) : 0);
-  dispatch_floating("max_pool2d", x.dtype(), [&]<class T>() {
+  // Calls f(first element of an output, first element of its window).
+  const auto for_windows = [n, h, w, c, kernel, out_h, out_w](const auto& f) {
     parallel_blocks(n * out_h, 4, [&](int64_t begin, int64_t end) {
-      std::vector<uint8_t> position(static_cast<size_t>(c));
       for (int64_t row = begin; row < end; ++row) {
         for (int64_t column = 0; column < out_w; ++column) {
-          const T* const corner =
-              x.data<T>() + ((row / out_h * h + row % out_h * kernel) * w + column * kernel) * c;
-          T* const best = y.data<T>() + (row * out_w + column) * c;
-          std::copy_n(corner, c, best);
-          std::fill(position.begin(), position.end(), uint8_t{0});
-          for (int64_t k = 1; k < kernel * kernel; ++k) {
-            const T* const from = corner + (k / kernel * w + k % kernel) * c;
-            for (int64_t j = 0; j < c; ++j) {
-              // NaN wins: it is not below anything, and nothing is above it.
-              const bool larger = from[j] > best[j] || std::isnan(from[j]);
-              best[j] = larger ? from[j] : best[j];
-              position[static_cast<size_t>(j)] =
-                  larger ? static_cast<uint8_t>(k) : position[static_cast<size_t>(j)];
-            }
-          }
-          if (recording)
-            std::copy(position.begin(), position.end(), chosen->begin() + (row * out_w + column) * c);
+          f((row * out_w + column) * c, ((row / out_h * h + row % out_h * kernel) * w + column * kernel) * c);
         }
       }
     });
+  };
+  const auto offset = [w, c, kernel](int64_t k) { return (k / kernel * w + k % kernel) * c; };
+  dispatch_floating("max_pool2d", x.dtype(), [&]<class T>() {
+    for_windows([&](int64_t to, int64_t from) {
+      const T* pixels[kMaxWindow];
+      for (int64_t k = 0; k < window; ++k) pixels[k] = x.data<T>() + from + offset(k);
+      kernels::pixel_kernels<T>().largest(pixels, window, c, y.data<T>() + to);
+    });
   });
-  if (!recording) return y;
-  return record("max_pool2d", y, {x},
-                [chosen, n, h, w, c, kernel, out_h, out_w](const Tensor& dy, std::span<const char>) {
-                  Tensor dx = Tensor::zeros({n, h, w, c}, dy.dtype());
-                  dispatch_floating("max_pool2d", dy.dtype(), [&]<class T>() {
-                    parallel_blocks(n * out_h, 4, [&](int64_t begin, int64_t end) {
-                      for (int64_t row = begin; row < end; ++row) {
-                        for (int64_t column = 0; column < out_w; ++column) {
-                          T* const corner =
-                              dx.data<T>() +
-                              ((row / out_h * h + row % out_h * kernel) * w + column * kernel) * c;
-                          const int64_t at = (row * out_w + column) * c;
-                          for (int64_t j = 0; j < c; ++j) {
-                            const int64_t k = (*chosen)[static_cast<size_t>(at + j)];
-                            corner[(k / kernel * w + k % kernel) * c + j] = dy.data<T>()[at + j];
-                          }
-                        }
-                      }
-                    });
-                  });
-                  return std::vector<Tensor>{dx};
-                });
+  if (!should_record({&x})) return y;
+  return record(
+      "max_pool2d", y, {x},
+      [kept = x.saved(), for_windows, offset, window, whole = out_h * kernel == h && out_w * kernel == w](
+          const Tensor& dy, std::span<const char>) {
+        const Tensor values = kept.restored();
+        // Windows cover everything but what no multiple of the kernel reaches.
+        Tensor dx = whole ? Tensor(values.shape(), dy.dtype()) : Tensor::zeros(values.shape(), dy.dtype());
+        dispatch_floating("max_pool2d", dy.dtype(), [&]<class T>() {
+          for_windows([&](int64_t at, int64_t from) {
+            const T* pixels[kMaxWindow];
+            T* targets[kMaxWindow];
+            for (int64_t k = 0; k < window; ++k) {
+              pixels[k] = values.data<T>() + from + offset(k);
+              targets[k] = dx.data<T>() + from + offset(k);
+            }
+            kernels::pixel_kernels<T>().largest_gradient(pixels, dy.data<T>() + at, window, values.size(3),
+                                                         targets);
+          });
+        });
+        return std::vector<Tensor>{dx};
+      },
+      [kept = x.saved(), kernel] { return max_pool2d(kept.restored(), kernel); });
 }
 
 Tensor adaptive_avg_pool2d(const Tensor& x, int64_t out_height, int64_t out_width) {

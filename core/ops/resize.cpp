@@ -1,9 +1,11 @@
 #include "core/ops/resize.h"
 
 #include <algorithm>
+#include <utility>
 #include <vector>
 
 #include "core/autograd.h"
+#include "core/kernels/pixel.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -62,14 +64,14 @@ std::vector<std::vector<Reader>> readers(const std::vector<Tap>& taps, int64_t i
   for (size_t i = 0; i < taps.size(); ++i) {
     const Tap& tap = taps[i];
     const auto position = static_cast<int64_t>(i);
-    result[static_cast<size_t>(tap.low)].push_back({position, 1.0 - tap.weight});
+    if (tap.weight != 1.0) result[static_cast<size_t>(tap.low)].push_back({position, 1.0 - tap.weight});
     if (tap.weight != 0.0) result[static_cast<size_t>(tap.high)].push_back({position, tap.weight});
   }
   return result;
 }
 
-Tensor resample(std::string_view operation, const Tensor& x, std::vector<Tap> rows,
-                std::vector<Tap> columns) {
+Tensor resample(std::string_view operation, const Tensor& x, const std::vector<Tap>& rows,
+                const std::vector<Tap>& columns) {
   const int64_t n = x.size(0), h = x.size(1), w = x.size(2), c = x.size(3);
   const auto out_h = static_cast<int64_t>(rows.size()), out_w = static_cast<int64_t>(columns.size());
   Tensor y({n, out_h, out_w, c}, x.dtype());
@@ -78,50 +80,63 @@ Tensor resample(std::string_view operation, const Tensor& x, std::vector<Tap> ro
       for (int64_t i = begin; i < end; ++i) {
         const Tap& row = rows[static_cast<size_t>(i % out_h)];
         const T* const image = x.data<T>() + i / out_h * h * w * c;
-        const auto v = static_cast<T>(row.weight);
         for (int64_t j = 0; j < out_w; ++j) {
           const Tap& column = columns[static_cast<size_t>(j)];
-          const auto u = static_cast<T>(column.weight);
-          const T* const a = image + (row.low * w + column.low) * c;
-          const T* const b = image + (row.low * w + column.high) * c;
-          const T* const d = image + (row.high * w + column.low) * c;
-          const T* const e = image + (row.high * w + column.high) * c;
-          T* const to = y.data<T>() + (i * out_w + j) * c;
-          if (row.weight == 0.0 && column.weight == 0.0) {  // also keeps 0 * infinity out
-            std::copy_n(a, c, to);
-            continue;
+          // Taps of weight zero are left out: zero times infinity would be NaN.
+          const T* pixels[4];
+          T weights[4];
+          int64_t count = 0;
+          for (const auto& [at, v] :
+               {std::pair(row.low, 1.0 - row.weight), std::pair(row.high, row.weight)}) {
+            for (const auto& [from, u] :
+                 {std::pair(column.low, 1.0 - column.weight), std::pair(column.high, column.weight)}) {
+              if (v == 0.0 || u == 0.0) continue;
+              pixels[count] = image + (at * w + from) * c;
+              weights[count++] = static_cast<T>(v * u);
+            }
           }
-          for (int64_t k = 0; k < c; ++k) {
-            to[k] = (T(1) - v) * ((T(1) - u) * a[k] + u * b[k]) + v * ((T(1) - u) * d[k] + u * e[k]);
-          }
+          kernels::pixel_kernels<T>().combine(pixels, weights, count, c, y.data<T>() + (i * out_w + j) * c);
         }
       }
     });
   });
   if (!should_record({&x})) return y;
-  return record(operation, y, {x},
-                [operation, n, h, w, c, out_h, out_w, by_row = readers(rows, h),
-                 by_column = readers(columns, w)](const Tensor& dy, std::span<const char>) {
-                  Tensor dx = Tensor::zeros({n, h, w, c}, dy.dtype());
-                  dispatch_floating(operation, dy.dtype(), [&]<class T>() {
-                    parallel_blocks(n * h, 4, [&](int64_t begin, int64_t end) {
-                      for (int64_t i = begin; i < end; ++i) {
-                        const T* const image = dy.data<T>() + i / h * out_h * out_w * c;
-                        for (int64_t j = 0; j < w; ++j) {
-                          T* const to = dx.data<T>() + (i * w + j) * c;
-                          for (const Reader& row : by_row[static_cast<size_t>(i % h)]) {
-                            for (const Reader& column : by_column[static_cast<size_t>(j)]) {
-                              const auto weight = static_cast<T>(row.weight * column.weight);
-                              const T* const from = image + (row.position * out_w + column.position) * c;
-                              for (int64_t k = 0; k < c; ++k) to[k] += weight * from[k];
-                            }
-                          }
-                        }
-                      }
-                    });
-                  });
-                  return std::vector<Tensor>{dx};
-                });
+  return record(
+      operation, y, {x},
+      [operation, n, h, w, c, out_h, out_w, by_row = readers(rows, h), by_column = readers(columns, w)](
+          const Tensor& dy, std::span<const char>) {
+        Tensor dx({n, h, w, c}, dy.dtype());
+        dispatch_floating(operation, dy.dtype(), [&]<class T>() {
+          parallel_blocks(n * h, 4, [&](int64_t begin, int64_t end) {
+            std::vector<const T*> pixels;
+            std::vector<T> weights;
+            for (int64_t i = begin; i < end; ++i) {
+              const T* const image = dy.data<T>() + i / h * out_h * out_w * c;
+              for (int64_t j = 0; j < w; ++j) {
+                pixels.clear();
+                weights.clear();
+                for (const Reader& row : by_row[static_cast<size_t>(i % h)]) {
+                  for (const Reader& column : by_column[static_cast<size_t>(j)]) {
+                    pixels.push_back(image + (row.position * out_w + column.position) * c);
+                    weights.push_back(static_cast<T>(row.weight * column.weight));
+                  }
+                }
+                T* const to = dx.data<T>() + (i * w + j) * c;
+                if (pixels.empty()) {
+                  std::fill_n(to, c, T{});
+                } else {
+                  kernels::pixel_kernels<T>().combine(pixels.data(), weights.data(),
+                                                      static_cast<int64_t>(pixels.size()), c, to);
+                }
+              }
+            }
+          });
+        });
+        return std::vector<Tensor>{dx};
+      },
+      [operation, kept = x.saved(), rows, columns] {
+        return resample(operation, kept.restored(), rows, columns);
+      });
 }
 
 }  // namespace

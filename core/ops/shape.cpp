@@ -69,16 +69,26 @@ Tensor concat(std::span<const Tensor> parts, int64_t axis) {
   }
   if (!should_record(parts)) return y;
   std::vector<int64_t> sizes;
-  for (const Tensor& part : parts) sizes.push_back(part.size(d));
-  return record("concat", y, {parts.begin(), parts.end()},
-                [sizes, d](const Tensor& dy, std::span<const char> needs) {
-                  std::vector<Tensor> grads(sizes.size());
-                  int64_t begin = 0;
-                  for (size_t i = 0; i < sizes.size(); begin += sizes[i], ++i) {
-                    if (needs[i]) grads[i] = slice(dy, d, begin, begin + sizes[i]);
-                  }
-                  return grads;
-                });
+  std::vector<Tensor> kept;
+  for (const Tensor& part : parts) {
+    sizes.push_back(part.size(d));
+    kept.push_back(part.saved());
+  }
+  return record(
+      "concat", y, {parts.begin(), parts.end()},
+      [sizes, d](const Tensor& dy, std::span<const char> needs) {
+        std::vector<Tensor> grads(sizes.size());
+        int64_t begin = 0;
+        for (size_t i = 0; i < sizes.size(); begin += sizes[i], ++i) {
+          if (needs[i]) grads[i] = slice(dy, d, begin, begin + sizes[i]);
+        }
+        return grads;
+      },
+      [kept = std::move(kept), d] {
+        std::vector<Tensor> values;
+        for (const Tensor& part : kept) values.push_back(part.restored());
+        return concat(values, d);
+      });
 }
 
 Tensor concat(std::initializer_list<Tensor> parts, int64_t axis) {
@@ -104,9 +114,12 @@ Tensor reshape(const Tensor& x, Shape shape) {
   }
   const Tensor y = x.view(std::move(shape));
   if (!should_record({&x})) return y;
-  return record("reshape", y, {x}, [shape = x.shape()](const Tensor& dy, std::span<const char>) {
+  const auto gradient = [shape = x.shape()](const Tensor& dy, std::span<const char>) {
     return std::vector<Tensor>{dy.view(shape)};
-  });
+  };
+  if (!x.recomputes()) return record("reshape", y, {x}, gradient);
+  return record("reshape", y, {x}, gradient,
+                [kept = x.saved(), shape = y.shape()] { return kept.restored().view(shape); });
 }
 
 Tensor permute(const Tensor& x, std::vector<int64_t> order) {
@@ -151,9 +164,12 @@ Tensor permute(const Tensor& x, std::vector<int64_t> order) {
     });
   }
   if (!should_record({&x})) return y;
-  return record("permute", y, {x}, [inverse](const Tensor& dy, std::span<const char>) {
-    return std::vector<Tensor>{permute(dy, inverse)};
-  });
+  return record(
+      "permute", y, {x},
+      [inverse](const Tensor& dy, std::span<const char>) {
+        return std::vector<Tensor>{permute(dy, inverse)};
+      },
+      [kept = x.saved(), order] { return permute(kept.restored(), order); });
 }
 
 Tensor slice(const Tensor& x, int64_t axis, int64_t begin, int64_t end) {
@@ -169,13 +185,15 @@ Tensor slice(const Tensor& x, int64_t axis, int64_t begin, int64_t end) {
   copy_rows(x.bytes() + begin * unit, s.size * unit, y.bytes(), (end - begin) * unit, s.outer,
             (end - begin) * unit);
   if (!should_record({&x})) return y;
-  return record("slice", y, {x},
-                [full = x.shape(), s, unit, begin, end](const Tensor& dy, std::span<const char>) {
-                  Tensor dx = Tensor::zeros(full, dy.dtype());
-                  copy_rows(dy.bytes(), (end - begin) * unit, dx.bytes() + begin * unit, s.size * unit,
-                            s.outer, (end - begin) * unit);
-                  return std::vector<Tensor>{dx};
-                });
+  return record(
+      "slice", y, {x},
+      [full = x.shape(), s, unit, begin, end](const Tensor& dy, std::span<const char>) {
+        Tensor dx = Tensor::zeros(full, dy.dtype());
+        copy_rows(dy.bytes(), (end - begin) * unit, dx.bytes() + begin * unit, s.size * unit, s.outer,
+                  (end - begin) * unit);
+        return std::vector<Tensor>{dx};
+      },
+      [kept = x.saved(), d, begin, end] { return slice(kept.restored(), d, begin, end); });
 }
 
 Tensor expand(const Tensor& x, Shape shape) {

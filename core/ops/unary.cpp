@@ -62,12 +62,13 @@ Tensor normalize(const Tensor& x, double eps) {
   });
   if (!should_record({&x})) return y;
   return record("normalize", y, {x},
-                [x = x.detach(), rows, columns, block, eps](const Tensor& dy, std::span<const char>) {
+                [kept = x.saved(), rows, columns, block, eps](const Tensor& dy, std::span<const char>) {
+                  const Tensor input = kept.restored();
                   Tensor dx(dy.shape(), dy.dtype());
                   dispatch_floating("normalize", dy.dtype(), [&]<class T>() {
                     parallel_blocks(rows, block, [&](int64_t begin, int64_t end) {
                       for (int64_t row = begin; row < end; ++row) {
-                        const T* const v = x.data<T>() + row * columns;
+                        const T* const v = input.data<T>() + row * columns;
                         const T* const g = dy.data<T>() + row * columns;
                         T* const to = dx.data<T>() + row * columns;
                         double squares = 0.0, dot = 0.0;
