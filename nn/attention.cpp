@@ -1,10 +1,8 @@
 #include "nn/attention.h"
 
-#include <cmath>
-
 #include "core/ops/activation.h"
 #include "core/ops/arithmetic.h"
-#include "core/ops/shape.h"
+#include "core/ops/attention.h"
 
 namespace opaline {
 
@@ -15,18 +13,9 @@ SelfAttention::SelfAttention(const AttentionConfig& config) : config_(config) {
 }
 
 Tensor SelfAttention::forward(const Tensor& x) const {
-  const int64_t batch = x.size(0);
-  const int64_t tokens = x.size(1);
-  const int64_t depth = config_.channels / config_.heads;
-  // N x tokens x channels -> N x heads x tokens x depth
-  const auto split = [&](const Tensor& t) {
-    return permute(reshape(t, {batch, tokens, config_.heads, depth}), {0, 2, 1, 3});
-  };
-  // The queries are scaled instead of the scores: they are the smaller tensor.
-  const Tensor query = split(affine(query_.forward(x), 1.0 / std::sqrt(static_cast<double>(depth))));
-  const Tensor scores = matmul(query, split(key_.forward(x)), {.transpose_b = true});
-  const Tensor mixed = matmul(softmax(scores), split(value_.forward(x)));
-  return out_.forward(reshape(permute(mixed, {0, 2, 1, 3}), {batch, tokens, config_.channels}));
+  const Tensor mixed = scaled_dot_product_attention(query_.forward(x), key_.forward(x), value_.forward(x),
+                                                    {.heads = config_.heads});
+  return out_.forward(mixed);
 }
 
 TransformerBlock::TransformerBlock(const TransformerBlockConfig& config)

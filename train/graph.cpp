@@ -22,6 +22,10 @@ int64_t operation_work(const Node& node, const Tensor& result) {
     const int64_t rows = result.numel() / result.size(-1);
     return result.numel() * (inputs[0].numel() / rows);
   }
+  if (node.operation == "scaled_dot_product_attention") {
+    // Two products of all queries with all keys.
+    return 2 * result.numel() * inputs[1].size(1);
+  }
   return 0;
 }
 

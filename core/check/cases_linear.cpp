@@ -5,6 +5,7 @@
 
 #include "core/check/op_case.h"
 #include "core/check/reference.h"
+#include "core/ops/attention.h"
 #include "core/ops/linear.h"
 
 namespace opaline::check {
@@ -44,6 +45,22 @@ OpCase matmul_case(const std::string& variant, const Product& p, bool ta, bool t
       .options = {{"transpose_a", fmt::format("{}", ta)}, {"transpose_b", fmt::format("{}", tb)}}};
 }
 
+OpCase attention_case(const std::string& variant, const Shape& query, int64_t keys, int64_t heads,
+                      Fill fill = fill::normal()) {
+  const Shape other{query[0], keys, query[2]};
+  return {.name = "scaled_dot_product_attention/" + variant,
+          .inputs = {{.name = "query", .shape = query, .fill = fill},
+                     {.name = "key", .shape = other, .fill = fill},
+                     {.name = "value", .shape = other}},
+          .forward =
+              [heads](std::span<const Tensor> in) {
+                return scaled_dot_product_attention(in[0], in[1], in[2], {.heads = heads});
+              },
+          .reference =
+              [heads](std::span<const Array> in) { return reference::attention(in[0], in[1], in[2], heads); },
+          .options = {{"heads", fmt::format("{}", heads)}}};
+}
+
 Fill with_nan_at(size_t position) {
   return [position](std::span<double> values, Random& random) {
     fill::normal()(values, random);
@@ -74,8 +91,16 @@ std::vector<OpCase> linear_cases() {
       matmul_case("outer", {{4}, 6, 7, 1}, false, false),
       matmul_case("inner", {{3}, 1, 1, 23}, false, true),
       matmul_case("no_batch", {{0}, 2, 3, 4}, false, false),
+      attention_case("self", {2, 5, 6}, 5, 2),
+      attention_case("cross", {1, 3, 16}, 7, 1),
+      attention_case("one_key", {1, 4, 6}, 1, 3),
+      attention_case("lanes", {1, 17, 32}, 18, 2),
+      attention_case("blocks", {1, 130, 4}, 9, 2),
+      attention_case("sharp", {1, 5, 8}, 6, 2, fill::normal(6.0)),
+      attention_case("no_batch", {0, 3, 4}, 3, 2),
   };
-  for (OpCase nan : {linear_case("nan", {4, 9}, 6, true), matmul_case("nan", {{2}, 3, 4, 5}, false, true)}) {
+  for (OpCase nan : {linear_case("nan", {4, 9}, 6, true), matmul_case("nan", {{2}, 3, 4, 5}, false, true),
+                     attention_case("nan", {1, 4, 6}, 5, 2)}) {
     nan.inputs[0].fill = with_nan_at(12);
     nan.smooth = false;
     cases.push_back(std::move(nan));
@@ -88,6 +113,7 @@ std::vector<OpCase> large_linear_cases(int64_t side) {
   return {
       linear_case("512_2048", {tokens, 512}, 2048, true),
       linear_case("head", {8, 512 * side}, 27, true),
+      attention_case("tokens_512", {2, tokens, 512}, tokens, 8),
       matmul_case("attention_scores", {{8}, tokens, tokens, 64}, false, true),
       matmul_case("attention_values", {{8}, tokens, 64, tokens}, false, false),
   };

@@ -31,28 +31,38 @@ struct BatchNormCase {
   bool tracked = true;
   double momentum = 0.1;
   Fill fill = fill::normal();
+  bool relu = false;
 };
+
+/// The positive part, where the operation takes it too.
+Array rectified(Array y, bool relu) {
+  for (double& value : y.values) value = relu ? reference::relu(value) : value;
+  return y;
+}
 
 OpCase batch_norm_case(const std::string& variant, const Shape& shape, const BatchNormCase& c = {}) {
   const Shape channels{shape.back()};
-  OpCase result{
-      .name = "batch_norm/" + variant,
-      .inputs = {{.name = "x", .shape = shape, .fill = c.fill},
-                 {.name = "weight", .shape = channels, .fill = kWeight},
-                 {.name = "bias", .shape = channels, .fill = kBias}},
-      .forward =
-          [c](std::span<const Tensor> in) {
-            return batch_norm(in[0], in[1], in[2], c.tracked ? in[3] : Tensor(), c.tracked ? in[4] : Tensor(),
-                              {.training = c.training, .momentum = c.momentum});
-          },
-      .reference = [c](std::span<const Array> in) -> ReferenceResult {
-        const Array none{Shape{0}};
-        auto r = reference::batch_norm(in[0], in[1], in[2], c.tracked ? in[3] : none,
-                                       c.tracked ? in[4] : none, c.training, c.momentum, 1e-5);
-        if (!c.tracked) return {std::move(r.y)};
-        return {std::move(r.y), {std::move(r.running_mean), std::move(r.running_var)}};
-      },
-      .options = {{"training", fmt::format("{}", c.training)}, {"momentum", fmt::format("{}", c.momentum)}}};
+  OpCase result{.name = "batch_norm/" + variant,
+                .inputs = {{.name = "x", .shape = shape, .fill = c.fill},
+                           {.name = "weight", .shape = channels, .fill = kWeight},
+                           {.name = "bias", .shape = channels, .fill = kBias}},
+                .forward =
+                    [c](std::span<const Tensor> in) {
+                      return batch_norm(in[0], in[1], in[2], c.tracked ? in[3] : Tensor(),
+                                        c.tracked ? in[4] : Tensor(),
+                                        {.training = c.training, .momentum = c.momentum, .relu = c.relu});
+                    },
+                .reference = [c](std::span<const Array> in) -> ReferenceResult {
+                  const Array none{Shape{0}};
+                  auto r = reference::batch_norm(in[0], in[1], in[2], c.tracked ? in[3] : none,
+                                                 c.tracked ? in[4] : none, c.training, c.momentum, 1e-5);
+                  r.y = rectified(std::move(r.y), c.relu);
+                  if (!c.tracked) return {std::move(r.y)};
+                  return {std::move(r.y), {std::move(r.running_mean), std::move(r.running_var)}};
+                },
+                .options = {{"training", fmt::format("{}", c.training)},
+                            {"momentum", fmt::format("{}", c.momentum)},
+                            {"relu", fmt::format("{}", c.relu)}}};
   if (c.tracked) {
     result.inputs.push_back(
         {.name = "running_mean", .shape = channels, .fill = kBias, .differentiable = false, .updated = true});
@@ -66,18 +76,21 @@ OpCase batch_norm_case(const std::string& variant, const Shape& shape, const Bat
 }
 
 OpCase instance_norm_case(const std::string& variant, const Shape& shape, bool affine,
-                          Fill fill = fill::normal()) {
-  OpCase result{.name = "instance_norm/" + variant,
-                .inputs = {{.name = "x", .shape = shape, .fill = std::move(fill)}},
-                .forward =
-                    [affine](std::span<const Tensor> in) {
-                      return affine ? instance_norm(in[0], in[1], in[2]) : instance_norm(in[0]);
-                    },
-                .reference =
-                    [affine](std::span<const Array> in) {
-                      return affine ? reference::instance_norm(in[0], in[1], in[2], 1e-5)
-                                    : reference::instance_norm(in[0], std::nullopt, std::nullopt, 1e-5);
-                    }};
+                          Fill fill = fill::normal(), bool relu = false) {
+  OpCase result{
+      .name = "instance_norm/" + variant,
+      .inputs = {{.name = "x", .shape = shape, .fill = std::move(fill)}},
+      .forward =
+          [affine, relu](std::span<const Tensor> in) {
+            return instance_norm(in[0], affine ? in[1] : Tensor(), affine ? in[2] : Tensor(), {.relu = relu});
+          },
+      .reference =
+          [affine, relu](std::span<const Array> in) {
+            return rectified(affine ? reference::instance_norm(in[0], in[1], in[2], 1e-5)
+                                    : reference::instance_norm(in[0], std::nullopt, std::nullopt, 1e-5),
+                             relu);
+          },
+      .options = {{"relu", fmt::format("{}", relu)}}};
   if (affine) {
     result.inputs.push_back({.name = "weight", .shape = {shape[3]}, .fill = kWeight});
     result.inputs.push_back({.name = "bias", .shape = {shape[3]}, .fill = kBias});
@@ -132,6 +145,8 @@ std::vector<OpCase> norm_cases() {
       batch_norm_case("2d_train_untracked", {2, 3, 4, 5}, {.tracked = false}),
       batch_norm_case("2d_eval", {2, 4, 5, 3}, {.training = false}),
       batch_norm_case("2d_many_rows", {2, 24, 25, 2}),
+      batch_norm_case("2d_train_relu", {2, 4, 5, 19}, {.relu = true}),
+      batch_norm_case("2d_eval_relu", {2, 4, 5, 3}, {.training = false, .relu = true}),
       batch_norm_case("1d_train", {8, 27}),
       batch_norm_case("1d_train_two", {2, 5}),
       batch_norm_case("1d_eval", {4, 7}, {.training = false}),
@@ -139,12 +154,14 @@ std::vector<OpCase> norm_cases() {
       rough(batch_norm_case("1d_train_one", {1, 6})),
       rough(batch_norm_case("2d_constant", {2, 3, 3, 2}, {.fill = fill::values({2.0, -1.0})})),
       offset(batch_norm_case("2d_offset", {2, 5, 5, 4}, {.fill = fill::normal(1.0, 1000.0)})),
+      rough(batch_norm_case("2d_nan_relu", {2, 3, 3, 4}, {.fill = with_nan_at(18), .relu = true})),
       rough(batch_norm_case("2d_nan", {2, 3, 3, 4}, {.fill = with_nan_at(18)})),
 
       instance_norm_case("plain", {2, 4, 5, 3}, false),
       instance_norm_case("affine", {2, 4, 5, 3}, true),
       instance_norm_case("plain_lanes", {1, 3, 4, 32}, false),
       instance_norm_case("affine_off_lanes", {2, 3, 3, 17}, true),
+      instance_norm_case("affine_relu", {2, 4, 5, 3}, true, fill::normal(), true),
       cancelling(instance_norm_case("two_pixels", {3, 1, 2, 4}, false)),
       cancelling(rough(instance_norm_case("one_pixel", {2, 1, 1, 3}, true))),
       offset(instance_norm_case("offset", {2, 5, 5, 3}, false, fill::normal(1.0, 1000.0))),

@@ -40,6 +40,7 @@ Array conv_transpose2d(const Array& x, const Array& weight, const std::optional<
                        const ConvParameters& parameters);
 Array reflection_pad2d(const Array& x, int64_t padding);
 Array linear(const Array& x, const Array& weight, const std::optional<Array>& bias);
+Array attention(const Array& query, const Array& key, const Array& value, int64_t heads);
 Array matmul(const Array& a, const Array& b, bool transpose_a, bool transpose_b);
 
 // Normalisations; an absent weight and bias are ones and zeros.

@@ -1,3 +1,5 @@
+#include <cmath>
+
 #include "core/check/reference.h"
 
 namespace opaline::check::reference {
@@ -119,6 +121,27 @@ Array matmul(const Array& a, const Array& b, bool transpose_a, bool transpose_b)
                    b[batch * k * n + (transpose_b ? j * k + l : l * n + j)];
         }
         y[batch * m * n + i * n + j] = total;
+      }
+    }
+  }
+  return y;
+}
+
+Array attention(const Array& query, const Array& key, const Array& value, int64_t heads) {
+  const int64_t depth = query.last() / heads, keys = key.size(1);
+  Array y(query.shape);
+  for (int64_t n = 0; n < query.size(0); ++n) {
+    for (int64_t i = 0; i < query.size(1); ++i) {
+      for (int64_t h = 0; h < heads; ++h) {
+        Array scores(Shape{keys});
+        for (int64_t j = 0; j < keys; ++j) {
+          for (int64_t c = h * depth; c < (h + 1) * depth; ++c) scores[j] += query(n, i, c) * key(n, j, c);
+          scores[j] /= std::sqrt(static_cast<double>(depth));
+        }
+        const Array weights = softmax(scores);
+        for (int64_t j = 0; j < keys; ++j) {
+          for (int64_t c = h * depth; c < (h + 1) * depth; ++c) y(n, i, c) += weights[j] * value(n, j, c);
+        }
       }
     }
   }

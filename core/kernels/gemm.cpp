@@ -126,6 +126,34 @@ void gemm_slice(int64_t m, int64_t n, int64_t k0, int64_t k1, const T* a, int64_
 }  // namespace
 
 template <class T>
+PackedMatrix<T>::PackedMatrix(int64_t k, int64_t n, const MatrixView<T>& b) : packed_(1, k, n, nullptr) {
+  packed_.fill(
+      b.column_stride, [&](int64_t, int64_t r) { return b.data + r * b.row_stride; }, false);
+}
+
+template <class T>
+void PackedMatrix<T>::multiply(int64_t m, const T* a, int64_t a_stride, T* c, int64_t c_stride) const {
+  const Tiles<T>& tile = tiles<T>();
+  DotTile<T> t;
+  t.a_stride = a_stride;
+  t.run = packed_.run;
+  t.c_stride = c_stride;
+  for (int64_t p = 0; p < packed_.panels; ++p) {
+    t.b = packed_.panel(p);
+    t.columns = std::min(packed_.width, packed_.columns - p * packed_.width);
+    for (int64_t row = 0; row < m; row += tile.rows) {
+      t.rows = std::min(tile.rows, m - row);
+      t.a = a + row * a_stride;
+      t.c = c + row * c_stride + p * packed_.width;
+      tile.dot(t, packed_.vectors);
+    }
+  }
+}
+
+template class PackedMatrix<float>;
+template class PackedMatrix<double>;
+
+template <class T>
 void gemm(int64_t m, int64_t n, int64_t k, const MatrixView<T>& a, const MatrixView<T>& b, const T* bias,
           T* c, bool parallel) {
   if (m == 0 || n == 0) return;

@@ -4,6 +4,8 @@
 
 #include <cstdint>
 
+#include "core/kernels/panels.h"
+
 namespace opaline::kernels {
 
 /// sums[j] = sum over m < rows of x[m*columns + j], in double, in a fixed order.
@@ -20,6 +22,18 @@ struct MatrixView {
   const T* data = nullptr;
   int64_t row_stride = 0;
   int64_t column_stride = 1;
+};
+
+/// A k x n matrix packed once for several products, each on the calling thread.
+template <class T>
+class PackedMatrix {
+ public:
+  PackedMatrix(int64_t k, int64_t n, const MatrixView<T>& b);
+  /// c (m x n, rows c_stride apart) = a (m x k, rows a_stride apart) times the matrix.
+  void multiply(int64_t m, const T* a, int64_t a_stride, T* c, int64_t c_stride) const;
+
+ private:
+  PackedWeights<T> packed_;
 };
 
 /// c (m x n, contiguous) = a (m x k) b (k x n) + bias (n, or null). Uses all threads where `parallel`.

