@@ -79,6 +79,15 @@ Tensor random_normal(Shape shape, uint32_t sample, double deviation) {
   return tensor;
 }
 
+/// The numerics that choose this algorithm.
+std::vector<std::string_view> chosen_by(const ConvShape& s, const ConvTiming& t) {
+  std::vector<std::string_view> names;
+  for (const Numerics numerics : {Numerics::kStrict, Numerics::kBalanced, Numerics::kFast}) {
+    if (kernels::choose_algorithm(s, t.pass, numerics) == t.outputs) names.push_back(to_string(numerics));
+  }
+  return names;
+}
+
 struct Arguments {
   ConvShape shape{.n = 2, .h = 64, .w = 64, .in = 256, .out = 256, .kernel_h = 3, .kernel_w = 3};
   int64_t size = 64, kernel = 3;
@@ -99,13 +108,14 @@ void run_bench_conv(Arguments arguments) {
   const Machine machine = measure_machine();
   fmt::print("{} x {} x {} x {} -> {}, kernel {}, stride {}; {} threads, {}: {:.0f} GFLOP/s\n", s.n, s.h, s.w,
              s.in, s.out, s.kernel_h, s.stride, num_threads(), machine.instruction_set, machine.gflops);
-  fmt::print("| {:<15} | {:<8} | {:>9} | {:>8} | {:>6} | {:>8} |\n", "pass", "way", "ms", "GFLOP/s", "peak",
-             "error");
-  fmt::print("|{:-<17}|{:-<10}|{:->10}:|{:->9}:|{:->7}:|{:->9}:|\n", "", "", "", "", "", "");
+  fmt::print("| {:<15} | {:<8} | {:>9} | {:>8} | {:>6} | {:>8} | {:<20} |\n", "pass", "way", "ms", "GFLOP/s",
+             "peak", "error", "choice of");
+  fmt::print("|{:-<17}|{:-<10}|{:->10}:|{:->9}:|{:->7}:|{:->9}:|{:-<22}|\n", "", "", "", "", "", "", "");
   for (const ConvTiming& t : measure_conv(data, arguments.repeats)) {
-    fmt::print("| {:<15} | {:<8} | {:>9.3f} | {:>8.0f} | {:>4.0f} % | {:>8.1e} |\n", to_string(t.pass),
-               algorithm_name(t.outputs), 1e3 * t.seconds, t.gflops, 100.0 * t.gflops / machine.gflops,
-               t.error);
+    fmt::print("| {:<15} | {:<8} | {:>9.3f} | {:>8.0f} | {:>4.0f} % | {:>8.1e} | {:<20} |\n",
+               to_string(t.pass), algorithm_name(t.outputs), 1e3 * t.seconds, t.gflops,
+               100.0 * t.gflops / machine.gflops, t.error,
+               fmt::format("{}", fmt::join(chosen_by(s, t), ", ")));
   }
 }
 
@@ -142,18 +152,6 @@ std::vector<ConvTiming> measure_conv(const ConvData& data, int repeats) {
     }
   }
   return timings;
-}
-
-std::string_view to_string(ConvPass pass) {
-  switch (pass) {
-    case ConvPass::kForward:
-      return "forward";
-    case ConvPass::kInputGradient:
-      return "input gradient";
-    case ConvPass::kWeightGradient:
-      return "weight gradient";
-  }
-  return "";
 }
 
 std::string algorithm_name(int outputs) {

@@ -2,7 +2,7 @@
 // layers` print.
 #pragma once
 
-#include <string_view>
+#include <string>
 #include <vector>
 
 #include "core/kernels/conv.h"
@@ -28,7 +28,6 @@ struct ConvData {
 /// turns `repeats` times.
 std::vector<ConvTiming> measure_conv(const ConvData& data, int repeats);
 
-std::string_view to_string(kernels::ConvPass pass);
 /// "direct", "F(4x4)".
 std::string algorithm_name(int outputs);
 

@@ -10,10 +10,12 @@
 #include <vector>
 
 #include "cli/bench.h"
+#include "cli/numerics_option.h"
 #include "core/autograd.h"
 #include "core/clock.h"
 #include "core/error.h"
 #include "core/memory.h"
+#include "core/numerics.h"
 #include "core/random.h"
 #include "data/png.h"
 #include "models/cascade.h"
@@ -30,6 +32,7 @@ struct BenchArguments {
   int64_t width = 64;
   int64_t repeats = 3;
   std::string mask;  // a PNG file or a share of the pixels; empty: all of them
+  Numerics numerics = Numerics::kBalanced;
   bool forward_only = false;
   bool json = false;
 };
@@ -169,6 +172,7 @@ void run_bench_step(const BenchArguments& arguments) {
   // The forward pass alone is what prediction runs: with running statistics, so that one image will do.
   step->set_training(!arguments.forward_only);
 
+  const NumericsGuard numerics(arguments.numerics);
   // The warm-up fills the pool and, because it records, tells the work.
   WorkCount work;
   {
@@ -233,6 +237,7 @@ void add_bench_step(CLI::App& bench) {
   command->add_option("--repeats", arguments->repeats, "Timed repetitions after one warm-up")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
+  add_numerics_option(*command, arguments->numerics);
   command->add_flag("--forward", arguments->forward_only, "The forward pass alone, in evaluation mode");
   command->add_flag("--json", arguments->json, "Print one JSON object");
   command->callback([arguments] { run_bench_step(*arguments); });

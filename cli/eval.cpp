@@ -32,6 +32,7 @@ void run_eval(const EvalArguments& arguments) {
   const auto warn = [](std::string_view line) { fmt::print(stderr, "warning: {}\n", line); };
   const TrainedModel model = load_trained_model({arguments.run}, warn);
   const RunConfig& config = model.config;
+  const NumericsGuard numerics(config.train.numerics);
   const std::shared_ptr<const Dataset> dataset = open_dataset(arguments.data);
   if (dataset->size(Split::kTest) == 0) fail(arguments.data.string(), "has no test scenes");
   const MeanPredictor mean = training_mean(*dataset, config);

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "cli/commands.h"
+#include "cli/numerics_option.h"
 #include "core/autograd.h"
 #include "core/ops/shape.h"
 #include "core/safetensors.h"
@@ -21,6 +22,7 @@ struct ForwardArguments {
   std::filesystem::path config;
   std::string variant = "release";
   NetworkOptions options;  // where there is no config
+  Numerics numerics = Numerics::kBalanced;
   bool grad = false;
   bool force = false;
 };
@@ -63,6 +65,7 @@ void run_forward(const ForwardArguments& arguments) {
                            {.allow_non_finite = arguments.force, .source = arguments.weights.string()});
   network->set_training(training);
   network->set_requires_grad(arguments.grad);
+  const NumericsGuard numerics(arguments.numerics);
 
   const TensorMap input = load_safetensors(arguments.input).tensors;
   Tensor x = inward(read_tensor(input, "x", options.dtype, input_file));
@@ -117,6 +120,7 @@ void add_forward(CLI::App& app, Outcome&) {
   command->add_option("--dtype", arguments->dtype, "Type of weights, arithmetic and results")
       ->check(CLI::IsMember({"float32", "float64"}))
       ->capture_default_str();
+  add_numerics_option(*command, arguments->numerics);
   CLI::Option* config = command->add_option("--config", arguments->config,
                                             "Training config that gives variant, sizes and channels");
   const auto add_size = [&](const std::string& name, auto& value, const std::string& text) {

@@ -46,6 +46,7 @@ void run_predict(const PredictArguments& arguments) {
     fmt::print(stderr, "warning: {} is of stage 1: no scattering parameters\n", model.checkpoint.string());
   }
   options.size = arguments.size < 0 ? model.config.model.image_size : arguments.size;
+  const NumericsGuard numerics(model.config.train.numerics);
   for (const PredictInput& input : inputs) {
     fmt::print("{}\n", predict(model, input, options, arguments.out).string());
   }

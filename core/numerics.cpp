@@ -1,11 +1,15 @@
 #include "core/numerics.h"
 
+#include <utility>
+
+#include "core/kernels/conv_plan.h"
+
 namespace opaline {
 namespace {
 
-Numerics& mode() {
-  thread_local Numerics numerics = Numerics::kBalanced;
-  return numerics;
+std::shared_ptr<kernels::ConvPlan>& plan_in_force() {
+  thread_local auto plan = std::make_shared<kernels::ConvPlan>(Numerics::kBalanced);
+  return plan;
 }
 
 }  // namespace
@@ -29,16 +33,22 @@ std::optional<Numerics> parse_numerics(std::string_view text) {
   return std::nullopt;
 }
 
-Numerics current_numerics() {
-  return mode();
+std::shared_ptr<kernels::ConvPlan> current_conv_plan() {
+  return plan_in_force();
 }
 
-NumericsGuard::NumericsGuard(Numerics numerics) : before_(mode()) {
-  mode() = numerics;
+Numerics current_numerics() {
+  return plan_in_force()->numerics();
 }
+
+NumericsGuard::NumericsGuard(Numerics numerics)
+    : NumericsGuard(std::make_shared<kernels::ConvPlan>(numerics)) {}
+
+NumericsGuard::NumericsGuard(std::shared_ptr<kernels::ConvPlan> plan)
+    : before_(std::exchange(plan_in_force(), std::move(plan))) {}
 
 NumericsGuard::~NumericsGuard() {
-  mode() = before_;
+  plan_in_force() = std::move(before_);
 }
 
 }  // namespace opaline

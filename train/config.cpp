@@ -17,6 +17,7 @@ constexpr int64_t kMost = 1'000'000'000;
 constexpr std::array<std::string_view, 2> kVariants = {"paper", "release"};
 constexpr std::array<std::string_view, 3> kSchedules = {"step", "epoch", "constant"};
 
+constexpr std::array<std::string_view, 3> kNumerics = {"strict", "balanced", "fast"};
 constexpr std::array<std::string_view, 2> kDamagePolicies = {"fail", "skip"};
 
 template <size_t N>
@@ -114,6 +115,8 @@ TrainConfig read_train(const TomlTable& table, Variant variant, std::vector<std:
   train.beta1 = table.real("beta1", train.beta1, {.min = 0.0, .max = 0.999999});
   train.beta2 = table.real("beta2", train.beta2, {.min = 0.0, .max = 0.9999999});
   train.eps = table.real("eps", train.eps, {.min = 1e-30, .max = 1.0});
+  train.numerics =
+      parse_numerics(table.choice("numerics", to_string(train.numerics), kNumerics)).value_or(train.numerics);
   const std::string schedule =
       table.choice("schedule", variant == Variant::kPaper ? "step" : "epoch", kSchedules);
   train.schedule = schedule == "step"    ? Schedule::kStep

@@ -16,6 +16,7 @@
 #include <string_view>
 #include <vector>
 
+#include "core/numerics.h"
 #include "data/encode.h"
 #include "data/generate.h"
 #include "data/loader.h"
@@ -61,6 +62,7 @@ struct TrainConfig {
   double beta1 = 0.5;
   double beta2 = 0.999;
   double eps = 1e-8;
+  Numerics numerics = Numerics::kBalanced;  ///< which algorithms convolutions may take (core/numerics.h)
   Schedule schedule = Schedule::kStep;
   int64_t log_every = 10;        ///< steps
   int64_t checkpoint_every = 0;  ///< steps, besides every epoch's end; 0: none

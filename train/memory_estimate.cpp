@@ -8,16 +8,13 @@
 
 #include "core/autograd.h"
 #include "core/memory.h"
+#include "core/numerics.h"
 #include "train/stage.h"
 
 namespace opaline {
 namespace {
 
 constexpr int64_t kProbe = 64;  // side of the images that are run
-// The bottleneck's transformer (models/unet.h): a token each 16 x 16 pixels; scores and their softmax are
-// kept.
-constexpr double kAttentionFloats = 2.0 * 8.0 * 8.0;  // x blocks x heads, a pair of tokens
-constexpr double kTokenPixels = 16.0 * 16.0;
 // The pool keeps freed blocks of sizes that nothing asks for at the moment: the share of a process's memory
 // over its peak use that was measured in training is 1.2 to 1.4.
 constexpr double kPoolOverhead = 1.35;
@@ -82,6 +79,8 @@ std::string gib(int64_t bytes) {
 }  // namespace
 
 MemoryEstimate estimate_memory(const RunConfig& config, int64_t width, int64_t height) {
+  // With choices of its own: the probe's shapes are none of the run's.
+  const NumericsGuard numerics(config.train.numerics);
   MemoryEstimate estimate;
   const int number = config.stages[1].epochs > 0 ? 2 : 1;
   Stage stage(config, number);
@@ -103,16 +102,8 @@ MemoryEstimate estimate_memory(const RunConfig& config, int64_t width, int64_t h
   const double once = std::max(0.0, two - 2.0 * per_probe);
   const double pixels = static_cast<double>(width * height);
   const double probes = pixels / static_cast<double>(kProbe * kProbe);
-  // Convolutions take memory by the pixel; attention by the pair of tokens, beside which the probe's is
-  // nothing.
-  double unets = 0.0;
-  for (const std::string_view name : {"normal", "depth", "reconstruction"})
-    unets += stage.cascade().has(name) ? 1 : 0;
-  const double tokens = pixels / kTokenPixels;
-  const double attention = unets * kAttentionFloats * tokens * tokens * sizeof(float);
   const auto images = static_cast<double>(config.train.micro_batch);
-  estimate.activations =
-      static_cast<int64_t>(kPoolOverhead * (once + images * (per_probe * probes + attention)));
+  estimate.activations = static_cast<int64_t>(kPoolOverhead * (once + images * per_probe * probes));
   tensor_pool().release_cached();
 
   // Read ahead, one being made by each thread, and the one that is trained on.

@@ -61,6 +61,7 @@ struct Measured {
 /// Everything that needs weights and scenes.
 Measured measure_run(const RunFolder& run, const RunConfig& config, const ReportOptions& options,
                      const Warn& warn) {
+  const NumericsGuard numerics(config.train.numerics);
   Measured measured;
   measured.model = load_trained_model(run, warn);
   measured.dataset =

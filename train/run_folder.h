@@ -8,6 +8,7 @@
 namespace opaline {
 
 /// RUN/config.toml       the resolved config
+/// RUN/convolutions.json the algorithm of every convolution (core/kernels/conv_plan.h)
 /// RUN/metrics.jsonl     the record of the run, one event a line (train/log.h)
 /// RUN/sessions.jsonl    one line a process that trained here: host, command, where it began and why it ended
 /// RUN/checkpoints/      step-N folders (train/checkpoint.h)
@@ -17,6 +18,7 @@ struct RunFolder {
   std::filesystem::path root;
 
   std::filesystem::path config() const { return root / "config.toml"; }
+  std::filesystem::path convolutions() const { return root / "convolutions.json"; }
   std::filesystem::path metrics() const { return root / "metrics.jsonl"; }
   std::filesystem::path sessions() const { return root / "sessions.jsonl"; }
   std::filesystem::path checkpoints() const { return root / "checkpoints"; }

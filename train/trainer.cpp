@@ -11,6 +11,8 @@
 
 #include "core/error.h"
 #include "core/file.h"
+#include "core/kernels/conv_plan.h"
+#include "core/numerics.h"
 #include "core/parallel.h"
 #include "data/dataset.h"
 #include "data/loader.h"
@@ -62,7 +64,9 @@ class Trainer {
         dataset_(options.dataset ? options.dataset : open(config.data.path)),
         sizes_(micro_batch_sizes(*dataset_, config)),
         lock_(options.run),
-        progress_(options.progress) {
+        progress_(options.progress),
+        plan_(std::make_shared<kernels::ConvPlan>(config.train.numerics)),
+        numerics_(plan_) {
     if (config_.train.threads > 0) set_num_threads(static_cast<int>(config_.train.threads));
     state_.config = config_.text;
     state_.data = dataset_->facts().fingerprint;
@@ -82,6 +86,7 @@ class Trainer {
   [[noreturn]] void stop_on(const StepFailure& failure);
   void end_epoch();
   void checkpoint();
+  void load_plan();
   bool interrupted();
   void begin_session(std::string_view what);
   void say_memory();
@@ -103,6 +108,8 @@ class Trainer {
   std::vector<int64_t> sizes_;  // of an epoch's micro-batches
   RunLock lock_;
   Progress progress_;
+  std::shared_ptr<kernels::ConvPlan> plan_;
+  NumericsGuard numerics_;
   InterruptGuard signals_;
   TrainingState state_;
   std::unique_ptr<Stage> stage_;
@@ -169,6 +176,7 @@ TrainResult Trainer::resume() {
   restore_networks(loaded, stage_->cascade());
   stage_->adam().load_state_dict(loaded.optimizer, (loaded.folder / "optimizer.safetensors").string());
   write_file_atomically(options_.run.config(), std::string_view(config_.text));
+  load_plan();
   log_ = std::make_unique<MetricsLog>(options_.run.metrics(), state_.log_lines);
   begin_session("resume");
   progress_.note(fmt::format("resuming after step {} (stage {}, epoch {})", state_.step, state_.stage,
@@ -394,7 +402,17 @@ void Trainer::end_epoch() {
   state_.epoch_sums.clear();
 }
 
+/// A resumed run makes the choices that it made, so that its numbers are those of one that never stopped.
+/// With other numerics (--force) it makes new ones.
+void Trainer::load_plan() {
+  const fs::path path = options_.run.convolutions();
+  if (!fs::exists(path)) return;
+  const std::string text = read_text(path.string());
+  if (kernels::planned_numerics(text, path.string()) == plan_->numerics()) plan_->load(text, path.string());
+}
+
 void Trainer::checkpoint() {
+  write_file_atomically(options_.run.convolutions(), std::string_view(plan_->to_json()));
   state_.log_lines = log_->lines();
   save_checkpoint(options_.run.checkpoints(), state_, stage_->cascade(), stage_->adam());
   prune_checkpoints(options_.run.checkpoints(), config_.train.keep);

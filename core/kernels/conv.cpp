@@ -9,24 +9,17 @@
 
 namespace opaline::kernels {
 
-int winograd_outputs(const ConvShape& s, ConvPass, Numerics numerics) {
-  if (numerics == Numerics::kStrict) return 0;
-  if (!winograd_fits(s)) return 0;
-  if (std::min(s.in, s.out) < 16) return 0;
-  return 4;
-}
-
 template <class T>
-void conv_forward(const ConvShape& s, Numerics numerics, const T* x, const T* weight, const T* bias, T* y) {
-  const int outputs = winograd_outputs(s, ConvPass::kForward, numerics);
+void conv_forward(const ConvShape& s, ConvPlan& plan, const T* x, const T* weight, const T* bias, T* y) {
+  const int outputs = plan.outputs(s, ConvPass::kForward);
   if (outputs == 0) return direct_forward(s, x, weight, bias, y);
   winograd_forward(outputs, s, x, weight, bias, y);
 }
 
 template <class T>
-void conv_input_gradient(const ConvShape& s, Numerics numerics, const T* dy, const T* weight, const T* bias,
+void conv_input_gradient(const ConvShape& s, ConvPlan& plan, const T* dy, const T* weight, const T* bias,
                          T* dx) {
-  const int outputs = winograd_outputs(s, ConvPass::kInputGradient, numerics);
+  const int outputs = plan.outputs(s, ConvPass::kInputGradient);
   const auto run = [&](T* to) {
     if (outputs == 0) return direct_input_gradient(s, dy, weight, bias, to);
     winograd_input_gradient(outputs, s, dy, weight, bias, to);
@@ -39,8 +32,8 @@ void conv_input_gradient(const ConvShape& s, Numerics numerics, const T* dy, con
 }
 
 template <class T>
-void conv_weight_gradient(const ConvShape& s, Numerics numerics, const T* x, const T* dy, T* dweight) {
-  const int outputs = winograd_outputs(s, ConvPass::kWeightGradient, numerics);
+void conv_weight_gradient(const ConvShape& s, ConvPlan& plan, const T* x, const T* dy, T* dweight) {
+  const int outputs = plan.outputs(s, ConvPass::kWeightGradient);
   if (outputs == 0) return direct_weight_gradient(s, x, dy, dweight);
   winograd_weight_gradient(outputs, s, x, dy, dweight);
 }
@@ -85,14 +78,14 @@ void fold_reflection(const Image<T>& padded, int64_t padding, T* dx) {
   });
 }
 
-template void conv_forward(const ConvShape&, Numerics, const float*, const float*, const float*, float*);
-template void conv_forward(const ConvShape&, Numerics, const double*, const double*, const double*, double*);
-template void conv_input_gradient(const ConvShape&, Numerics, const float*, const float*, const float*,
+template void conv_forward(const ConvShape&, ConvPlan&, const float*, const float*, const float*, float*);
+template void conv_forward(const ConvShape&, ConvPlan&, const double*, const double*, const double*, double*);
+template void conv_input_gradient(const ConvShape&, ConvPlan&, const float*, const float*, const float*,
                                   float*);
-template void conv_input_gradient(const ConvShape&, Numerics, const double*, const double*, const double*,
+template void conv_input_gradient(const ConvShape&, ConvPlan&, const double*, const double*, const double*,
                                   double*);
-template void conv_weight_gradient(const ConvShape&, Numerics, const float*, const float*, float*);
-template void conv_weight_gradient(const ConvShape&, Numerics, const double*, const double*, double*);
+template void conv_weight_gradient(const ConvShape&, ConvPlan&, const float*, const float*, float*);
+template void conv_weight_gradient(const ConvShape&, ConvPlan&, const double*, const double*, double*);
 template void fold_reflection(const Image<float>&, int64_t, float*);
 template void fold_reflection(const Image<double>&, int64_t, double*);
 

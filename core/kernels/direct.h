@@ -2,7 +2,7 @@
 // kernel and stride. Arguments as in conv.h; padded images of a reflecting convolution as in winograd.h.
 #pragma once
 
-#include "core/kernels/conv.h"
+#include "core/kernels/conv_plan.h"
 
 namespace opaline::kernels {
 

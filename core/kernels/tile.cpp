@@ -21,6 +21,9 @@ constexpr int kRows = 8;
 constexpr int kRows = 4;
 #endif
 
+// Products summed in registers before they go to memory: a longer chain of roundings would cost digits.
+constexpr int64_t kChain = 128;
+
 template <class T, int kM, int kVectors>
 HWY_ATTR void dot(const DotTile<T>& t) {
   const hn::ScalableTag<T> d;
@@ -31,28 +34,46 @@ HWY_ATTR void dot(const DotTile<T>& t) {
     const V start = t.bias != nullptr ? hn::LoadU(d, t.bias + v * lanes) : hn::Zero(d);
     for (int i = 0; i < kM; ++i) acc[i][v] = start;
   }
-  const T* b = t.b;
-  for (int64_t q = 0; q < t.runs; ++q) {
-    const T* a = t.a + q * t.a_run_stride;
-    for (int64_t k = 0; k < t.run; ++k, b += kVectors * lanes) {
-      V column[kVectors];
-      for (int v = 0; v < kVectors; ++v) column[v] = hn::Load(d, b + v * lanes);
-#pragma GCC unroll 16
+  const auto flush = [&](bool add) HWY_ATTR {
+    for (int v = 0; v < kVectors; ++v) {
+      const int64_t left = t.columns - v * lanes;
+      const auto mask = hn::FirstN(d, static_cast<size_t>(left < 0 ? 0 : left));
       for (int i = 0; i < kM; ++i) {
-        const V row = hn::Set(d, a[i * t.a_stride + k]);
-        for (int v = 0; v < kVectors; ++v) acc[i][v] = hn::MulAdd(row, column[v], acc[i][v]);
+        T* const c = t.c + i * t.c_stride + v * lanes;
+        if (left >= lanes) {
+          hn::StoreU(add ? hn::Add(hn::LoadU(d, c), acc[i][v]) : acc[i][v], d, c);
+        } else if (left > 0) {
+          hn::BlendedStore(add ? hn::Add(hn::MaskedLoad(mask, d, c), acc[i][v]) : acc[i][v], mask, d, c);
+        }
+        acc[i][v] = hn::Zero(d);
+      }
+    }
+  };
+  const T* b = t.b;
+  bool flushed = false;
+  int64_t chain = 0;
+  for (int64_t q = 0; q < t.runs; ++q) {
+    const T* const run = t.a + q * t.a_run_stride;
+    for (int64_t begin = 0; begin < t.run; begin += kChain) {
+      const int64_t end = begin + kChain < t.run ? begin + kChain : t.run;
+      if (chain + end - begin > kChain) {
+        flush(flushed);
+        flushed = true;
+        chain = 0;
+      }
+      chain += end - begin;
+      for (int64_t k = begin; k < end; ++k, b += kVectors * lanes) {
+        V column[kVectors];
+        for (int v = 0; v < kVectors; ++v) column[v] = hn::Load(d, b + v * lanes);
+#pragma GCC unroll 16
+        for (int i = 0; i < kM; ++i) {
+          const V row = hn::Set(d, run[i * t.a_stride + k]);
+          for (int v = 0; v < kVectors; ++v) acc[i][v] = hn::MulAdd(row, column[v], acc[i][v]);
+        }
       }
     }
   }
-  for (int v = 0; v < kVectors; ++v) {
-    const int64_t left = t.columns - v * lanes;
-    if (left >= lanes) {
-      for (int i = 0; i < kM; ++i) hn::StoreU(acc[i][v], d, t.c + i * t.c_stride + v * lanes);
-    } else if (left > 0) {
-      const auto mask = hn::FirstN(d, static_cast<size_t>(left));
-      for (int i = 0; i < kM; ++i) hn::BlendedStore(acc[i][v], mask, d, t.c + i * t.c_stride + v * lanes);
-    }
-  }
+  flush(flushed);
 }
 
 template <class T, int kM, int kVectors>

@@ -92,7 +92,7 @@ void transform_tiles(const Image<T>& x, const TileGrid& grid, int64_t begin, int
 /// Tiles of a block: as many as keep its transformed values near the core.
 int64_t tiles_per_block(int64_t bytes_per_tile) {
   constexpr int64_t kBytes = int64_t{3} << 19;
-  return std::clamp<int64_t>(kBytes / bytes_per_tile / 8 * 8, 16, 128);
+  return std::clamp<int64_t>(kBytes / bytes_per_tile / 8 * 8, 32, 128);
 }
 
 /// y = correlation of x, `padding` pixels of border included, with the filters.
@@ -261,10 +261,11 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, const T* x, const
   }
   // Few channels: a group of tiles has sums of its own, which stay near the core with the block that it works
   // on.
-  constexpr int64_t kOwnSumsBytes = int64_t{5} << 19, kOwnBlock = 32, kGroups = 16;
-  if (k.tile * k.tile * s.in * s.out * static_cast<int64_t>(sizeof(T)) <= kOwnSumsBytes) {
+  constexpr int64_t kOwnSumsBytes = 640 << 10, kOwnBlock = 32, kGroups = 16, kLeastBlocks = 32;
+  const int64_t blocks = (TileGrid(outputs, s.n, s.out_h(), s.out_w()).count + kOwnBlock - 1) / kOwnBlock;
+  if (blocks >= kLeastBlocks &&
+      k.tile * k.tile * s.in * s.out * static_cast<int64_t>(sizeof(T)) <= kOwnSumsBytes) {
     const WeightSums<T> work(k, s, x, dy, kOwnBlock);
-    const int64_t blocks = (work.grid().count + kOwnBlock - 1) / kOwnBlock;
     const int64_t per_group = (blocks + kGroups - 1) / kGroups;
     const int64_t groups = (blocks + per_group - 1) / per_group;
     const Scratch<T> sums(groups * work.sums_size());

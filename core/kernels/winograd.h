@@ -3,7 +3,7 @@
 // caches; nothing is transformed as a whole. The order of every sum depends on the shape alone.
 #pragma once
 
-#include "core/kernels/conv.h"
+#include "core/kernels/conv_plan.h"
 
 namespace opaline::kernels {
 

@@ -71,33 +71,32 @@ Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const C
     fail("conv2d", "input {} with padding {} is smaller than the kernel {}x{}", to_string(x.shape()),
          s.padding, s.kernel_h, s.kernel_w);
   }
-  const Numerics numerics = current_numerics();
+  const std::shared_ptr<kernels::ConvPlan> plan = current_conv_plan();
   Tensor y({s.n, s.out_h(), s.out_w(), s.out}, x.dtype());
   dispatch_floating("conv2d", x.dtype(), [&]<class T>() {
-    kernels::conv_forward(s, numerics, x.data<T>(), weight.data<T>(),
-                          bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
+    kernels::conv_forward(s, *plan, x.data<T>(), weight.data<T>(), bias.defined() ? bias.data<T>() : nullptr,
+                          y.data<T>());
   });
   if (!should_record({&x, &weight, &bias})) return y;
-  return record("conv2d", y, {x, weight, bias},
-                [s, numerics, kept = x.saved(), weight = weight.detach()](const Tensor& dy,
-                                                                          std::span<const char> needs) {
-                  const Tensor input = needs[1] ? kept.restored() : kept;
-                  std::vector<Tensor> grads(3);
-                  dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
-                    if (needs[0]) {
-                      grads[0] = Tensor(input.shape(), input.dtype());
-                      kernels::conv_input_gradient(s, numerics, dy.data<T>(), weight.data<T>(),
-                                                   static_cast<const T*>(nullptr), grads[0].data<T>());
-                    }
-                    if (needs[1]) {
-                      grads[1] = Tensor(weight.shape(), weight.dtype());
-                      kernels::conv_weight_gradient(s, numerics, input.data<T>(), dy.data<T>(),
-                                                    grads[1].data<T>());
-                    }
-                  });
-                  if (needs[2]) grads[2] = bias_gradient(dy);
-                  return grads;
-                });
+  return record(
+      "conv2d", y, {x, weight, bias},
+      [s, plan, kept = x.saved(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
+        const Tensor input = needs[1] ? kept.restored() : kept;
+        std::vector<Tensor> grads(3);
+        dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
+          if (needs[0]) {
+            grads[0] = Tensor(input.shape(), input.dtype());
+            kernels::conv_input_gradient(s, *plan, dy.data<T>(), weight.data<T>(),
+                                         static_cast<const T*>(nullptr), grads[0].data<T>());
+          }
+          if (needs[1]) {
+            grads[1] = Tensor(weight.shape(), weight.dtype());
+            kernels::conv_weight_gradient(s, *plan, input.data<T>(), dy.data<T>(), grads[1].data<T>());
+          }
+        });
+        if (needs[2]) grads[2] = bias_gradient(dy);
+        return grads;
+      });
 }
 
 // The forward pass is the input gradient of a convolution whose input is this one's output, and the other way
@@ -128,33 +127,32 @@ Tensor conv_transpose2d(const Tensor& x, const Tensor& weight, const Tensor& bia
                              .kernel_w = weight.size(3),
                              .stride = options.stride,
                              .padding = options.padding};
-  const Numerics numerics = current_numerics();
+  const std::shared_ptr<kernels::ConvPlan> plan = current_conv_plan();
   Tensor y({s.n, s.h, s.w, s.in}, x.dtype());
   dispatch_floating("conv_transpose2d", x.dtype(), [&]<class T>() {
-    kernels::conv_input_gradient(s, numerics, x.data<T>(), weight.data<T>(),
+    kernels::conv_input_gradient(s, *plan, x.data<T>(), weight.data<T>(),
                                  bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
   });
   if (!should_record({&x, &weight, &bias})) return y;
-  return record("conv_transpose2d", y, {x, weight, bias},
-                [s, numerics, kept = x.saved(), weight = weight.detach()](const Tensor& dy,
-                                                                          std::span<const char> needs) {
-                  const Tensor input = needs[1] ? kept.restored() : kept;
-                  std::vector<Tensor> grads(3);
-                  dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
-                    if (needs[0]) {
-                      grads[0] = Tensor(input.shape(), input.dtype());
-                      kernels::conv_forward(s, numerics, dy.data<T>(), weight.data<T>(),
-                                            static_cast<const T*>(nullptr), grads[0].data<T>());
-                    }
-                    if (needs[1]) {
-                      grads[1] = Tensor(weight.shape(), weight.dtype());
-                      kernels::conv_weight_gradient(s, numerics, dy.data<T>(), input.data<T>(),
-                                                    grads[1].data<T>());
-                    }
-                  });
-                  if (needs[2]) grads[2] = bias_gradient(dy);
-                  return grads;
-                });
+  return record(
+      "conv_transpose2d", y, {x, weight, bias},
+      [s, plan, kept = x.saved(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
+        const Tensor input = needs[1] ? kept.restored() : kept;
+        std::vector<Tensor> grads(3);
+        dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
+          if (needs[0]) {
+            grads[0] = Tensor(input.shape(), input.dtype());
+            kernels::conv_forward(s, *plan, dy.data<T>(), weight.data<T>(), static_cast<const T*>(nullptr),
+                                  grads[0].data<T>());
+          }
+          if (needs[1]) {
+            grads[1] = Tensor(weight.shape(), weight.dtype());
+            kernels::conv_weight_gradient(s, *plan, dy.data<T>(), input.data<T>(), grads[1].data<T>());
+          }
+        });
+        if (needs[2]) grads[2] = bias_gradient(dy);
+        return grads;
+      });
 }
 
 Tensor reflection_pad2d(const Tensor& x, int64_t padding) {

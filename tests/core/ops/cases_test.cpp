@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <catch2/catch.hpp>
 #include <cstring>
+#include <memory>
+#include <regex>
 #include <string>
 
 #include "core/check/op_case.h"
 #include "core/check/run.h"
+#include "core/kernels/conv_plan.h"
 #include "core/parallel.h"
 #include "core/safetensors.h"
 
@@ -57,6 +60,47 @@ TEST_CASE("gradients of operations are those of difference quotients") {
       CHECK(result.error <= op_case.tolerances.gradient);
     }
   }
+}
+
+/// A plan that takes tiles of `outputs` for whatever convolution of this case can be done so; null where none
+/// can.
+std::shared_ptr<kernels::ConvPlan> forced_plan(const OpCase& op_case, int outputs) {
+  const auto plan = std::make_shared<kernels::ConvPlan>(Numerics::kFast);
+  {
+    const NumericsGuard guard(plan);
+    run_case(op_case, DType::kFloat64);
+  }
+  std::string json = plan->to_json();
+  if (json.find("kernel 3x3, stride 1") == std::string::npos) return nullptr;
+  static const std::regex choice("(forward|input gradient|weight gradient)\": \\d");
+  plan->load(std::regex_replace(json, choice, "$1\": " + std::to_string(outputs)), op_case.name);
+  return plan;
+}
+
+TEST_CASE("convolutions agree with reference, quotients and PyTorch by every algorithm") {
+  const ThreadsGuard one_thread(1);
+  const TensorMap golden = load_safetensors(std::string(OPALINE_TEST_DATA) + "/conv2d.safetensors").tensors;
+  int runs = 0;
+  for (const OpCase& op_case : op_cases()) {
+    if (op_case.operation() != "conv2d" || op_case.variant() == "nan") continue;  // NaN fills whole tiles
+    for (const int outputs : {0, 2, 4, 6}) {
+      const auto plan = forced_plan(op_case, outputs);
+      if (!plan) continue;
+      ++runs;
+      const NumericsGuard guard(plan);
+      INFO(op_case.name << ", tiles of " << outputs);
+      const CaseRun wide = run_case(op_case, DType::kFloat64), narrow = run_case(op_case, DType::kFloat32);
+      CHECK(reference_error(op_case, wide) <= op_case.tolerances.float64);
+      CHECK(golden_error(op_case, wide, golden) <= op_case.tolerances.golden);
+      CHECK(reference_error(op_case, narrow) <= 2.0 * op_case.tolerances.float32);
+      CHECK(gradient_difference(narrow, wide) <= op_case.tolerances.float32_gradient);
+      for (const GradientError& result : gradient_errors(op_case)) {
+        INFO("by " << result.name << ": relative error " << result.error);
+        CHECK(result.error <= op_case.tolerances.gradient);
+      }
+    }
+  }
+  CHECK(runs > 40);
 }
 
 TEST_CASE("operations agree with PyTorch") {

@@ -1,0 +1,157 @@
+#include "core/kernels/conv_plan.h"
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "core/error.h"
+
+namespace opaline::kernels {
+namespace {
+
+constexpr std::array kPasses{ConvPass::kForward, ConvPass::kInputGradient, ConvPass::kWeightGradient};
+
+/// Work of a pass in multiply-adds at the full rate of the machine. Its three terms, from measurements of
+/// layers of 16 to 512 channels: the products; what a filter costs (it is transformed, written and read
+/// again, whatever the image's size); what a tile costs (it is transformed on the way in and out).
+double direct_work(const ConvShape& s, ConvPass pass) {
+  const double products = static_cast<double>(s.n * s.out_h() * s.out_w()) *
+                          static_cast<double>(s.in * s.out) * static_cast<double>(s.kernel_h * s.kernel_w);
+  return products / (pass == ConvPass::kWeightGradient ? 0.7 : 0.88);
+}
+
+double winograd_work(const ConvShape& s, ConvPass pass, int outputs) {
+  constexpr double kFilter = 100.0, kSum = 80.0, kTile = 26.0;
+  const bool backward = pass == ConvPass::kInputGradient;
+  const int64_t border = backward && s.reflect ? s.padding : 0;
+  const int64_t rows = backward ? s.h + 2 * border : s.out_h(),
+                columns = backward ? s.w + 2 * border : s.out_w();
+  const auto down = static_cast<double>((rows + outputs - 1) / outputs);
+  const auto across = static_cast<double>((columns + outputs - 1) / outputs);
+  const double tiles = static_cast<double>(s.n) * down * across;
+  const double frequencies = (outputs + 2) * (outputs + 2);
+  const auto filters = static_cast<double>(s.in * s.out), channels = static_cast<double>(s.in + s.out);
+  const double each = pass == ConvPass::kWeightGradient ? kSum : kFilter;
+  // Larger tiles go through more registers than there are.
+  const double transform = kTile * (outputs == 6 ? 1.6 : 1.0);
+  return frequencies * (filters * (tiles / 0.88 + each) + tiles * channels * transform);
+}
+
+}  // namespace
+
+int choose_algorithm(const ConvShape& s, ConvPass pass, Numerics numerics) {
+  if (!winograd_fits(s) || s.n == 0) return 0;
+  const int largest = numerics == Numerics::kFast ? 6 : numerics == Numerics::kBalanced ? 4 : 2;
+  int best = 0;
+  double least = direct_work(s, pass);
+  for (int outputs = 2; outputs <= largest; outputs += 2) {
+    const double work = winograd_work(s, pass, outputs);
+    if (work < least) {
+      least = work;
+      best = outputs;
+    }
+  }
+  return best;
+}
+
+int ConvPlan::outputs(const ConvShape& s, ConvPass pass) {
+  const std::lock_guard lock(mutex_);
+  const auto [entry, fresh] = choices_.try_emplace({s, pass}, 0);
+  if (fresh) entry->second = choose_algorithm(s, pass, numerics_);
+  return entry->second;
+}
+
+std::string ConvPlan::to_json() const {
+  const std::lock_guard lock(mutex_);
+  nlohmann::ordered_json convolutions = nlohmann::ordered_json::object();
+  for (const auto& [key, outputs] : choices_) {
+    convolutions[to_string(key.first)][std::string(to_string(key.second))] = outputs;
+  }
+  const nlohmann::ordered_json json = {{"numerics", to_string(numerics_)}, {"convolutions", convolutions}};
+  return json.dump(1) + "\n";
+}
+
+Numerics planned_numerics(std::string_view json, std::string_view source) {
+  try {
+    const std::string name = nlohmann::json::parse(json).at("numerics");
+    if (const auto numerics = parse_numerics(name)) return *numerics;
+    fail(source, "has numerics \"{}\"", name);
+  } catch (const nlohmann::json::exception& error) {
+    fail(source, "is no plan of convolutions: {}", error.what());
+  }
+}
+
+void ConvPlan::load(std::string_view json, std::string_view source) {
+  try {
+    if (const Numerics made_for = planned_numerics(json, source); made_for != numerics_) {
+      fail(source, "was made for {} numerics, not {}", to_string(made_for), to_string(numerics_));
+    }
+    const auto parsed = nlohmann::json::parse(json);
+    std::map<Key, int> choices;
+    for (const auto& [shape, passes] : parsed.at("convolutions").items()) {
+      const ConvShape s = parse_conv_shape(shape);
+      for (const auto& [name, value] : passes.items()) {
+        const auto pass = std::find_if(kPasses.begin(), kPasses.end(),
+                                       [&](ConvPass candidate) { return to_string(candidate) == name; });
+        const int outputs = value.get<int>();
+        const bool known =
+            outputs == 0 || ((outputs == 2 || outputs == 4 || outputs == 6) && winograd_fits(s));
+        if (pass == kPasses.end() || !known) {
+          fail(source, "\"{}\" has pass \"{}\" with tiles of {}", shape, name, outputs);
+        }
+        choices[{s, *pass}] = outputs;
+      }
+    }
+    const std::lock_guard lock(mutex_);
+    choices_ = std::move(choices);
+  } catch (const nlohmann::json::exception& error) {
+    fail(source, "is no plan of convolutions: {}", error.what());
+  }
+}
+
+std::string to_string(const ConvShape& s) {
+  return fmt::format("{}x{}x{}x{} -> {}, kernel {}x{}, stride {}, padding {}{}", s.n, s.h, s.w, s.in, s.out,
+                     s.kernel_h, s.kernel_w, s.stride, s.padding, s.reflect ? " mirrored" : "");
+}
+
+ConvShape parse_conv_shape(std::string_view text) {
+  ConvShape s;
+  const std::string line(text);
+  int end = 0;
+  long long v[9] = {};
+  const int read =
+      std::sscanf(line.c_str(), "%lldx%lldx%lldx%lld -> %lld, kernel %lldx%lld, stride %lld, padding %lld%n",
+                  &v[0], &v[1], &v[2], &v[3], &v[4], &v[5], &v[6], &v[7], &v[8], &end);
+  const std::string_view rest = read == 9 ? std::string_view(line).substr(static_cast<size_t>(end)) : "?";
+  if (read != 9 || (!rest.empty() && rest != " mirrored") ||
+      std::any_of(std::begin(v), std::end(v),
+                  [](long long value) { return value < 0 || value > (1LL << 40); })) {
+    fail("convolution", "\"{}\" is no shape of one", text);
+  }
+  s = {.n = v[0],
+       .h = v[1],
+       .w = v[2],
+       .in = v[3],
+       .out = v[4],
+       .kernel_h = v[5],
+       .kernel_w = v[6],
+       .stride = v[7],
+       .padding = v[8],
+       .reflect = !rest.empty()};
+  return s;
+}
+
+std::string_view to_string(ConvPass pass) {
+  switch (pass) {
+    case ConvPass::kForward:
+      return "forward";
+    case ConvPass::kInputGradient:
+      return "input gradient";
+    case ConvPass::kWeightGradient:
+      return "weight gradient";
+  }
+  return "";
+}
+
+}  // namespace opaline::kernels
