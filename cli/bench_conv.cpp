@@ -29,12 +29,13 @@ Tensor run_conv(const ConvData& data, ConvPass pass, int outputs) {
   const T* const dy = data.dy.data<T>();
   const DType dtype = dtype_of<T>();
   const T* const none = nullptr;
+  const kernels::Part<const T> in{x, s.in};
   if (pass == ConvPass::kForward) {
     Tensor y({s.n, s.out_h(), s.out_w(), s.out}, dtype);
     if (outputs == 0) {
       kernels::direct_forward(s, x, w, none, y.data<T>());
     } else {
-      kernels::winograd_forward(outputs, s, x, w, none, y.data<T>());
+      kernels::winograd_forward<T>(outputs, s, {&in, 1}, w, none, y.data<T>());
     }
     return y;
   }
@@ -44,7 +45,8 @@ Tensor run_conv(const ConvData& data, ConvPass pass, int outputs) {
     if (outputs == 0) {
       kernels::direct_input_gradient(s, dy, w, none, padded.data<T>());
     } else {
-      kernels::winograd_input_gradient(outputs, s, dy, w, none, padded.data<T>());
+      const kernels::Part<T> whole{padded.data<T>(), s.in};
+      kernels::winograd_input_gradient<T>(outputs, s, dy, w, none, {&whole, 1});
     }
     if (border == 0) return padded;
     Tensor dx({s.n, s.h, s.w, s.in}, dtype);
@@ -57,7 +59,7 @@ Tensor run_conv(const ConvData& data, ConvPass pass, int outputs) {
   if (outputs == 0) {
     kernels::direct_weight_gradient(s, x, dy, dw.data<T>());
   } else {
-    kernels::winograd_weight_gradient(outputs, s, x, dy, dw.data<T>());
+    kernels::winograd_weight_gradient<T>(outputs, s, {&in, 1}, dy, dw.data<T>());
   }
   return dw;
 }

@@ -120,7 +120,7 @@ void backward(const Tensor& root, const Tensor& seed) {
       Tensor grad = target.grad();
       accumulate(grad, value);
     } else {
-      target.set_grad(value.clone());
+      target.set_grad(value.shared() ? value.clone() : value);
     }
   };
 

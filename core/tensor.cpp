@@ -347,6 +347,10 @@ void Tensor::set_node(std::shared_ptr<Node> node) {
   impl().history->node = std::move(node);
 }
 
+bool Tensor::shared() const {
+  return impl_.use_count() > 1 || impl().storage.use_count() > 1;
+}
+
 const void* Tensor::id() const {
   return impl_ ? impl_->history.get() : nullptr;
 }

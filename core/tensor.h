@@ -122,6 +122,8 @@ class Tensor {
   /// The operation that made this tensor; null for a leaf.
   const std::shared_ptr<Node>& node() const;
   void set_node(std::shared_ptr<Node> node);
+  /// Whether another handle or tensor has the same values: if not, they may be taken over instead of copied.
+  bool shared() const;
   /// Identity of the tensor in a graph: equal for copies of one handle and for its edge.
   const void* id() const;
 

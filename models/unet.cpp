@@ -13,8 +13,10 @@ constexpr int64_t kHeads = 8;
 constexpr int64_t kMlpRatio = 4;
 constexpr double kTokenNormEps = 1e-6;
 
-void add_conv_norm_relu(Sequential& sequence, int64_t in, int64_t out, const DoubleConvConfig& config) {
-  sequence.add<Conv2d>(Conv2dConfig{.in = in, .out = out, .kernel = 3, .padding = 1, .dtype = config.dtype});
+const Conv2d& add_conv_norm_relu(Sequential& sequence, int64_t in, int64_t out,
+                                 const DoubleConvConfig& config) {
+  const Conv2d& conv = sequence.add<Conv2d>(
+      Conv2dConfig{.in = in, .out = out, .kernel = 3, .padding = 1, .dtype = config.dtype});
   if (config.norm == BlockNorm::kBatch) {
     sequence.add<BatchNorm>(
         BatchNormConfig{.channels = out, .scale = kBatchNorm2dScale, .relu = true, .dtype = config.dtype});
@@ -22,12 +24,13 @@ void add_conv_norm_relu(Sequential& sequence, int64_t in, int64_t out, const Dou
     sequence.add<InstanceNorm>(InstanceNormConfig{.channels = out, .relu = true, .dtype = config.dtype});
   }
   sequence.skip();  // the rectifier
+  return conv;
 }
 
 }  // namespace
 
-DoubleConv::DoubleConv(const DoubleConvConfig& config) {
-  add_conv_norm_relu(double_conv_, config.in, config.middle, config);
+DoubleConv::DoubleConv(const DoubleConvConfig& config)
+    : first_(&add_conv_norm_relu(double_conv_, config.in, config.middle, config)) {
   add_conv_norm_relu(double_conv_, config.middle, config.out, config);
 }
 
@@ -39,7 +42,8 @@ Down::Down(const DoubleConvConfig& config) {
 Tensor Up::forward(const Tensor& x, const Tensor& skip) const {
   const Tensor upsampled =
       upsample_bilinear(x, {.height = skip.size(1), .width = skip.size(2), .align_corners = true});
-  return conv_.forward(concat({skip, upsampled}));
+  const Tensor parts[] = {skip, upsampled};
+  return conv_.forward(parts);
 }
 
 // Children are made in the order of the reference's state dict: the transformer blocks come last.

@@ -21,14 +21,19 @@ struct DoubleConvConfig {
   DType dtype = DType::kFloat32;
 };
 
-/// [conv 3x3 with bias, norm, ReLU] twice; N x H x W x in -> N x H x W x out.
+/// [conv 3x3 with bias, norm, ReLU] twice; N x H x W x in -> N x H x W x out. The input may come as images
+/// that are joined along their channels.
 class DoubleConv : public Module {
  public:
   explicit DoubleConv(const DoubleConvConfig& config);
-  Tensor forward(const Tensor& x) const { return double_conv_.forward(x); }
+  Tensor forward(const Tensor& x) const { return forward(std::span(&x, 1)); }
+  Tensor forward(std::span<const Tensor> parts) const {
+    return double_conv_.forward(first_->forward(parts), 1);
+  }
 
  private:
   Sequential& double_conv_ = add_child<Sequential>("double_conv");
+  const Conv2d* first_;  // step 0 of double_conv_
 };
 
 /// Max-pooling by 2, then a DoubleConv: N x H x W x C -> N x H/2 x W/2 x out.

@@ -25,9 +25,11 @@ struct Conv2dConfig {
 class Conv2d : public Module {
  public:
   explicit Conv2d(const Conv2dConfig& config) : config_(config) {}
-  Tensor forward(const Tensor& x) const {
+  Tensor forward(const Tensor& x) const { return forward(std::span(&x, 1)); }
+  /// Of images joined along their channels.
+  Tensor forward(std::span<const Tensor> parts) const {
     return conv2d(
-        x, weight_, bias_,
+        parts, weight_, bias_,
         {.stride = config_.stride, .padding = config_.padding, .padding_mode = config_.padding_mode});
   }
 

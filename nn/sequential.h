@@ -31,9 +31,10 @@ class Sequential : public Module {
     add_function([](const Tensor& x) { return x; });
   }
 
-  Tensor forward(const Tensor& x) const {
+  /// The steps from index `first` on.
+  Tensor forward(const Tensor& x, size_t first = 0) const {
     Tensor y = x;
-    for (const auto& step : steps_) y = step(y);
+    for (size_t i = first; i < steps_.size(); ++i) y = steps_[i](y);
     return y;
   }
 

@@ -1,5 +1,6 @@
 #include "train/graph.h"
 
+#include <algorithm>
 #include <unordered_set>
 
 #include "core/autograd.h"
@@ -11,7 +12,8 @@ namespace {
 int64_t operation_work(const Node& node, const Tensor& result) {
   const std::vector<Tensor>& inputs = node.inputs;
   if (node.operation == "conv2d") {
-    return result.numel() * inputs[1].size(1) * inputs[1].size(2) * inputs[1].size(3);
+    const Tensor& weight = inputs[inputs.size() - 2];
+    return result.numel() * weight.size(1) * weight.size(2) * weight.size(3);
   }
   if (node.operation == "conv_transpose2d") {
     return inputs[0].numel() * inputs[1].size(1) * inputs[1].size(2) * inputs[1].size(3);
@@ -62,10 +64,14 @@ WorkCount count_work(const Tensor& root) {
     const int64_t work = operation_work(*node, tensor);
     if (work == 0) continue;
     count.forward += work;
-    // Each of the two factors costs as much again, if its gradient is wanted.
-    for (size_t i = 0; i < 2; ++i) {
-      if (node->inputs[i].requires_grad()) count.backward += work;
+    // Each of the two factors costs as much again, if its gradient is wanted. The first may come in parts.
+    const size_t parts = node->operation == "conv2d" ? node->inputs.size() - 2 : 1;
+    const auto wanted = [](const Tensor& input) { return input.requires_grad(); };
+    if (std::any_of(node->inputs.begin(), node->inputs.begin() + static_cast<std::ptrdiff_t>(parts),
+                    wanted)) {
+      count.backward += work;
     }
+    if (wanted(node->inputs[parts])) count.backward += work;
   }
   return count;
 }

@@ -9,33 +9,90 @@
 
 namespace opaline::kernels {
 
+namespace {
+
+/// The parts next to each other, for algorithms that read one array: that of a single part itself.
 template <class T>
-void conv_forward(const ConvShape& s, ConvPlan& plan, const T* x, const T* weight, const T* bias, T* y) {
+class Joined {
+ public:
+  Joined(const ConvShape& s, Parts<const T> parts) : copy_(parts.size() == 1 ? 0 : s.n * s.h * s.w * s.in) {
+    data_ = parts.front().data;
+    if (parts.size() == 1) return;
+    data_ = copy_.data();
+    int64_t first = 0;
+    for (const Part<const T>& part : parts) {
+      copy_channels(part.data, part.channels, copy_.data() + first, s.in, part.channels, s.n * s.h * s.w);
+      first += part.channels;
+    }
+  }
+  const T* data() const { return data_; }
+
+  /// Copies `count` channels of each pixel between arrays whose pixels are some elements apart.
+  static void copy_channels(const T* from, int64_t from_stride, T* to, int64_t to_stride, int64_t count,
+                            int64_t pixels) {
+    parallel_blocks(pixels, 1024, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) std::copy_n(from + i * from_stride, count, to + i * to_stride);
+    });
+  }
+
+ private:
+  Scratch<T> copy_;
+  const T* data_;
+};
+
+}  // namespace
+
+template <class T>
+void conv_forward(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* weight, const T* bias,
+                  T* y) {
   const int outputs = plan.outputs(s, ConvPass::kForward);
-  if (outputs == 0) return direct_forward(s, x, weight, bias, y);
-  winograd_forward(outputs, s, x, weight, bias, y);
+  if (outputs == 0) return direct_forward(s, Joined<T>(s, x).data(), weight, bias, y);
+  if (winograd_takes(x)) return winograd_forward(outputs, s, x, weight, bias, y);
+  const Joined<T> joined(s, x);
+  const Part<const T> whole{joined.data(), s.in};
+  winograd_forward(outputs, s, Parts<const T>(&whole, 1), weight, bias, y);
 }
 
 template <class T>
 void conv_input_gradient(const ConvShape& s, ConvPlan& plan, const T* dy, const T* weight, const T* bias,
-                         T* dx) {
+                         Parts<T> dx) {
   const int outputs = plan.outputs(s, ConvPass::kInputGradient);
+  if (outputs > 0 && !s.reflect && winograd_takes(dx)) {
+    return winograd_input_gradient(outputs, s, dy, weight, bias, dx);
+  }
   const auto run = [&](T* to) {
+    const Part<T> whole{to, s.in};
     if (outputs == 0) return direct_input_gradient(s, dy, weight, bias, to);
-    winograd_input_gradient(outputs, s, dy, weight, bias, to);
+    winograd_input_gradient(outputs, s, dy, weight, bias, Parts<T>(&whole, 1));
   };
-  if (!s.reflect) return run(dx);
-  const int64_t h = s.h + 2 * s.padding, w = s.w + 2 * s.padding;
-  const Scratch<T> padded(s.n * h * w * s.in);
-  run(padded.data());
-  fold_reflection(Image<T>{padded.data(), s.n, h, w, s.in}, s.padding, dx);
+  const auto run_folded = [&](T* to) {
+    if (!s.reflect) return run(to);
+    const int64_t h = s.h + 2 * s.padding, w = s.w + 2 * s.padding;
+    const Scratch<T> padded(s.n * h * w * s.in);
+    run(padded.data());
+    fold_reflection(Image<T>{padded.data(), s.n, h, w, s.in}, s.padding, to);
+  };
+  if (dx.size() == 1) return run_folded(dx.front().data);
+  const Scratch<T> whole(s.n * s.h * s.w * s.in);
+  run_folded(whole.data());
+  int64_t first = 0;
+  for (const Part<T>& part : dx) {
+    if (part.data != nullptr) {
+      Joined<T>::copy_channels(whole.data() + first, s.in, part.data, part.channels, part.channels,
+                               s.n * s.h * s.w);
+    }
+    first += part.channels;
+  }
 }
 
 template <class T>
-void conv_weight_gradient(const ConvShape& s, ConvPlan& plan, const T* x, const T* dy, T* dweight) {
+void conv_weight_gradient(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* dy, T* dweight) {
   const int outputs = plan.outputs(s, ConvPass::kWeightGradient);
-  if (outputs == 0) return direct_weight_gradient(s, x, dy, dweight);
-  winograd_weight_gradient(outputs, s, x, dy, dweight);
+  if (outputs == 0) return direct_weight_gradient(s, Joined<T>(s, x).data(), dy, dweight);
+  if (winograd_takes(x)) return winograd_weight_gradient(outputs, s, x, dy, dweight);
+  const Joined<T> joined(s, x);
+  const Part<const T> whole{joined.data(), s.in};
+  winograd_weight_gradient(outputs, s, Parts<const T>(&whole, 1), dy, dweight);
 }
 
 template <class T>
@@ -78,14 +135,16 @@ void fold_reflection(const Image<T>& padded, int64_t padding, T* dx) {
   });
 }
 
-template void conv_forward(const ConvShape&, ConvPlan&, const float*, const float*, const float*, float*);
-template void conv_forward(const ConvShape&, ConvPlan&, const double*, const double*, const double*, double*);
+template void conv_forward(const ConvShape&, ConvPlan&, Parts<const float>, const float*, const float*,
+                           float*);
+template void conv_forward(const ConvShape&, ConvPlan&, Parts<const double>, const double*, const double*,
+                           double*);
 template void conv_input_gradient(const ConvShape&, ConvPlan&, const float*, const float*, const float*,
-                                  float*);
+                                  Parts<float>);
 template void conv_input_gradient(const ConvShape&, ConvPlan&, const double*, const double*, const double*,
-                                  double*);
-template void conv_weight_gradient(const ConvShape&, ConvPlan&, const float*, const float*, float*);
-template void conv_weight_gradient(const ConvShape&, ConvPlan&, const double*, const double*, double*);
+                                  Parts<double>);
+template void conv_weight_gradient(const ConvShape&, ConvPlan&, Parts<const float>, const float*, float*);
+template void conv_weight_gradient(const ConvShape&, ConvPlan&, Parts<const double>, const double*, double*);
 template void fold_reflection(const Image<float>&, int64_t, float*);
 template void fold_reflection(const Image<double>&, int64_t, double*);
 

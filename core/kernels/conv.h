@@ -10,18 +10,19 @@
 
 namespace opaline::kernels {
 
-/// y = conv(x, weight) + bias; bias null for none.
+/// y = conv(x, weight) + bias; bias null for none. The parts of x make up its channels.
 template <class T>
-void conv_forward(const ConvShape& s, ConvPlan& plan, const T* x, const T* weight, const T* bias, T* y);
+void conv_forward(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* weight, const T* bias, T* y);
 
 /// dx = gradient of conv's input from dy; `bias` (of dx's channels, or null) is added: conv_transpose2d's.
+/// Parts without data are not wanted.
 template <class T>
 void conv_input_gradient(const ConvShape& s, ConvPlan& plan, const T* dy, const T* weight, const T* bias,
-                         T* dx);
+                         Parts<T> dx);
 
 /// dweight (out x in x kernel_h x kernel_w) = gradient of conv's weight, overwritten.
 template <class T>
-void conv_weight_gradient(const ConvShape& s, ConvPlan& plan, const T* x, const T* dy, T* dweight);
+void conv_weight_gradient(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* dy, T* dweight);
 
 /// dx (n x h x w x channels) = the gradient of an image from that of its mirrored extension by `padding`
 /// pixels.

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <span>
 
 namespace opaline::kernels {
 
@@ -54,5 +55,14 @@ struct Image {
     border(last, columns);
   }
 };
+
+/// Some channels of an image; several parts one after the other are what a concatenation would make.
+template <class T>
+struct Part {
+  T* data = nullptr;  ///< n x h x w x channels
+  int64_t channels = 0;
+};
+template <class T>
+using Parts = std::span<const Part<T>>;
 
 }  // namespace opaline::kernels

@@ -1,6 +1,8 @@
 #include "core/kernels/winograd.h"
 
 #include <algorithm>
+#include <type_traits>
+#include <vector>
 
 #include "core/kernels/image.h"
 #include "core/kernels/scratch.h"
@@ -89,19 +91,37 @@ void transform_tiles(const Image<T>& x, const TileGrid& grid, int64_t begin, int
   }
 }
 
+/// The parts of a convolution's input as images; the memory of one tile's patch of the widest.
+template <class T>
+std::vector<Image<T>> images(const ConvShape& s, Parts<const T> parts) {
+  std::vector<Image<T>> result;
+  for (const Part<const T>& part : parts) {
+    result.push_back({part.data, s.n, s.h, s.w, part.channels, s.reflect ? s.padding : 0});
+  }
+  return result;
+}
+
+template <class T>
+int64_t widest(const std::vector<Image<T>>& parts) {
+  int64_t channels = 0;
+  for (const Image<T>& part : parts) channels = std::max(channels, part.channels);
+  return channels;
+}
+
 /// Tiles of a block: as many as keep its transformed values near the core.
 int64_t tiles_per_block(int64_t bytes_per_tile) {
   constexpr int64_t kBytes = int64_t{3} << 19;
   return std::clamp<int64_t>(kBytes / bytes_per_tile / 8 * 8, 32, 128);
 }
 
-/// y = correlation of x, `padding` pixels of border included, with the filters.
+/// y = correlation of x, `padding` pixels of border included, with the filters; parts of y without data are
+/// left out.
 template <class T>
-void convolve(const WinogradKernels<T>& k, const Image<T>& x, int64_t padding, const Filters<T>& filters,
-              const T* bias, int64_t rows, int64_t columns, T* y) {
+void convolve(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
+              const Filters<T>& filters, const T* bias, int64_t rows, int64_t columns, Parts<T> y) {
   const Tiles<T>& gemm = tiles<T>();
-  const TileGrid grid(k.outputs, x.n, rows, columns);
-  const int64_t frequencies = k.tile * k.tile, channels = x.channels, out = filters.out;
+  const TileGrid grid(k.outputs, x.front().n, rows, columns);
+  const int64_t frequencies = k.tile * k.tile, out = filters.out;
   const int64_t out_width = filters.panels * filters.width;
   const int64_t block =
       tiles_per_block(frequencies * (filters.in + out_width) * static_cast<int64_t>(sizeof(T)));
@@ -115,13 +135,17 @@ void convolve(const WinogradKernels<T>& k, const Image<T>& x, int64_t padding, c
     const Frequencies in_layout{block * filters.in + k.lanes, block * k.lanes, k.lanes};
     const Frequencies out_layout{block * out_width + k.lanes, block * filters.width, filters.width};
     const Scratch<T> in(frequencies * in_layout.frequency), product(frequencies * out_layout.frequency);
-    const Scratch<T> patch(k.tile * k.tile * channels);
+    const Scratch<T> patch(k.tile * k.tile * widest(x));
     // [frequency][group of lanes channels][tile][lane], so that both transforms and products run through
     // memory in order.
-    transform_tiles(x, grid, begin, count, k.tile, padding, patch.data(), in.data(), k.lanes,
-                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
-                      k.input(d, row_stride, pixel_stride, channels, to, in_layout);
-                    });
+    Frequencies at = in_layout;
+    for (const Image<T>& part : x) {
+      transform_tiles(part, grid, begin, count, k.tile, padding, patch.data(), in.data(), k.lanes,
+                      [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
+                        k.input(d, row_stride, pixel_stride, part.channels, to, at);
+                      });
+      at.first += part.channels;
+    }
     DotTile<T> t;
     t.a_stride = k.lanes;
     t.a_run_stride = block * k.lanes;
@@ -141,12 +165,17 @@ void convolve(const WinogradKernels<T>& k, const Image<T>& x, int64_t padding, c
         }
       }
     }
-    for (int64_t i = 0; i < count; ++i) {
-      const TileGrid::Tile tile = grid[begin + i];
-      k.output(product.data() + i * filters.width, out_layout, out,
-               bias != nullptr ? padded_bias.data() : nullptr,
-               y + ((tile.image * rows + tile.row) * columns + tile.column) * out, columns * out, out,
-               std::min(k.outputs, rows - tile.row), std::min(k.outputs, columns - tile.column));
+    at = out_layout;
+    for (const Part<T>& part : y) {
+      for (int64_t i = 0; part.data != nullptr && i < count; ++i) {
+        const TileGrid::Tile tile = grid[begin + i];
+        k.output(product.data() + i * filters.width, at, part.channels,
+                 bias != nullptr ? padded_bias.data() + at.first : nullptr,
+                 part.data + ((tile.image * rows + tile.row) * columns + tile.column) * part.channels,
+                 columns * part.channels, part.channels, std::min(k.outputs, rows - tile.row),
+                 std::min(k.outputs, columns - tile.column));
+      }
+      at.first += part.channels;
     }
   });
 }
@@ -154,19 +183,29 @@ void convolve(const WinogradKernels<T>& k, const Image<T>& x, int64_t padding, c
 }  // namespace
 
 template <class T>
-void winograd_forward(int outputs, const ConvShape& s, const T* x, const T* weight, const T* bias, T* y) {
+bool winograd_takes(Parts<T> parts) {
+  return std::all_of(parts.begin(), parts.end() - 1, [](const Part<T>& part) {
+    return part.channels % tiles<std::remove_const_t<T>>().lanes == 0;
+  });
+}
+
+template <class T>
+void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias,
+                      T* y) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   const Filters<T> filters(k, weight, s.in, s.out, 9, 9 * s.in, 1);
-  convolve(k, s.input(x), s.padding, filters, bias, s.out_h(), s.out_w(), y);
+  const Part<T> whole{y, s.out};
+  convolve(k, images(s, x), s.padding, filters, bias, s.out_h(), s.out_w(), Parts<T>(&whole, 1));
 }
 
 template <class T>
 void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const T* weight, const T* bias,
-                             T* dx) {
+                             Parts<T> dx) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   const Filters<T> filters(k, weight, s.out, s.in, 9 * s.in, 9, -1);
   const int64_t border = s.reflect ? s.padding : 0;
-  convolve(k, s.output(dy), 2 - s.padding + border, filters, bias, s.h + 2 * border, s.w + 2 * border, dx);
+  convolve(k, std::vector<Image<T>>{s.output(dy)}, 2 - s.padding + border, filters, bias, s.h + 2 * border,
+           s.w + 2 * border, dx);
 }
 
 namespace {
@@ -176,10 +215,10 @@ namespace {
 template <class T>
 class WeightSums {
  public:
-  WeightSums(const WinogradKernels<T>& k, const ConvShape& s, const T* x, const T* dy, int64_t block)
+  WeightSums(const WinogradKernels<T>& k, const ConvShape& s, Parts<const T> x, const T* dy, int64_t block)
       : k_(k),
         s_(s),
-        x_(s.input(x)),
+        x_(images(s, x)),
         dy_(s.output(dy)),
         grid_(k.outputs, s.n, s.out_h(), s.out_w()),
         width_(2 * k.lanes),
@@ -198,11 +237,15 @@ class WeightSums {
 
   /// Tiles [first, first + count) of the grid into the slots from `slot` on.
   void transform(int64_t first, int64_t count, int64_t slot, T* a, T* b) const {
-    const Scratch<T> patch(k_.tile * k_.tile * std::max(s_.in, s_.out));
-    transform_tiles(x_, grid_, first, count, k_.tile, s_.padding, patch.data(), b + slot * width_, width_,
-                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
-                      k_.input(d, row_stride, pixel_stride, s_.in, to, b_);
-                    });
+    const Scratch<T> patch(k_.tile * k_.tile * std::max(widest(x_), s_.out));
+    Frequencies at = b_;
+    for (const Image<T>& part : x_) {
+      transform_tiles(part, grid_, first, count, k_.tile, s_.padding, patch.data(), b + slot * width_, width_,
+                      [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
+                        k_.input(d, row_stride, pixel_stride, part.channels, to, at);
+                      });
+      at.first += part.channels;
+    }
     transform_tiles(dy_, grid_, first, count, k_.outputs, 0, patch.data(), a + slot * k_.lanes, k_.lanes,
                     [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
                       k_.output_gradient(d, row_stride, pixel_stride, s_.out, to, a_);
@@ -244,7 +287,8 @@ class WeightSums {
  private:
   const WinogradKernels<T>& k_;
   const ConvShape& s_;
-  Image<T> x_, dy_;
+  std::vector<Image<T>> x_;
+  Image<T> dy_;
   TileGrid grid_;
   int64_t width_, frequencies_;
   Frequencies a_, b_;
@@ -253,7 +297,7 @@ class WeightSums {
 }  // namespace
 
 template <class T>
-void winograd_weight_gradient(int outputs, const ConvShape& s, const T* x, const T* dy, T* dweight) {
+void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   if (s.n == 0) {
     std::fill_n(dweight, s.out * s.in * 9, T{});
@@ -312,13 +356,18 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, const T* x, const
   work.finish(sums.data(), dweight);
 }
 
-template void winograd_forward(int, const ConvShape&, const float*, const float*, const float*, float*);
-template void winograd_forward(int, const ConvShape&, const double*, const double*, const double*, double*);
+template bool winograd_takes(Parts<float>);
+template bool winograd_takes(Parts<const float>);
+template bool winograd_takes(Parts<double>);
+template bool winograd_takes(Parts<const double>);
+template void winograd_forward(int, const ConvShape&, Parts<const float>, const float*, const float*, float*);
+template void winograd_forward(int, const ConvShape&, Parts<const double>, const double*, const double*,
+                               double*);
 template void winograd_input_gradient(int, const ConvShape&, const float*, const float*, const float*,
-                                      float*);
+                                      Parts<float>);
 template void winograd_input_gradient(int, const ConvShape&, const double*, const double*, const double*,
-                                      double*);
-template void winograd_weight_gradient(int, const ConvShape&, const float*, const float*, float*);
-template void winograd_weight_gradient(int, const ConvShape&, const double*, const double*, double*);
+                                      Parts<double>);
+template void winograd_weight_gradient(int, const ConvShape&, Parts<const float>, const float*, float*);
+template void winograd_weight_gradient(int, const ConvShape&, Parts<const double>, const double*, double*);
 
 }  // namespace opaline::kernels

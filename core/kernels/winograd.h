@@ -7,16 +7,22 @@
 
 namespace opaline::kernels {
 
+/// Whether images of these parts can be read and written in place: all but the last have whole vectors of
+/// channels.
+template <class T>
+bool winograd_takes(Parts<T> parts);
+
 /// `outputs` is m of F(m x m, 3 x 3): 2, 4 or 6. Arguments as in conv.h; needs a 3 x 3 kernel and stride 1.
 template <class T>
-void winograd_forward(int outputs, const ConvShape& s, const T* x, const T* weight, const T* bias, T* y);
+void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias,
+                      T* y);
 
 /// With s.reflect, dx is the gradient of the padded image, n x (h + 2 padding) x (w + 2 padding) x in.
 template <class T>
 void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const T* weight, const T* bias,
-                             T* dx);
+                             Parts<T> dx);
 
 template <class T>
-void winograd_weight_gradient(int outputs, const ConvShape& s, const T* x, const T* dy, T* dweight);
+void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight);
 
 }  // namespace opaline::kernels

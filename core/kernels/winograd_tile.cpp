@@ -127,7 +127,7 @@ HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int
 #pragma GCC unroll 8
       for (int i = 0; i < kTile; ++i) half[i][j] = r[i];
     }
-    T* const out = to + c / f.width * f.panel + c % f.width;
+    T* const out = to + (f.first + c) / f.width * f.panel + (f.first + c) % f.width;
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) {
       V r[kTile];
@@ -162,7 +162,7 @@ HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_s
 #pragma GCC unroll 8
       for (int i = 0; i < kTile; ++i) half[i][j] = r[i];
     }
-    T* const out = to + c / f.width * f.panel + c % f.width;
+    T* const out = to + (f.first + c) / f.width * f.panel + (f.first + c) % f.width;
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) {
       V r[kTile];
@@ -182,7 +182,7 @@ HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, cons
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
   for (int64_t c = 0; c < channels; c += lanes) {
     V half[kOutputs][kTile];
-    const T* const in = from + c / f.width * f.panel + c % f.width;
+    const T* const in = from + (f.first + c) / f.width * f.panel + (f.first + c) % f.width;
 #pragma GCC unroll 8
     for (int j = 0; j < kTile; ++j) {
       V x[kTile], r[kOutputs];

@@ -8,11 +8,13 @@
 namespace opaline::kernels {
 
 /// Where the frequencies of a tile lie: value (frequency f, channel c) at
-/// f * frequency + c / width * panel + c % width. `width` is a multiple of the lanes.
+/// f * frequency + (first + c) / width * panel + (first + c) % width. `width` and `first` are multiples of
+/// the lanes.
 struct Frequencies {
   int64_t frequency = 0;
   int64_t panel = 0;
   int64_t width = 0;
+  int64_t first = 0;
 };
 
 template <class T>

@@ -1,6 +1,7 @@
 #include "core/ops/conv.h"
 
 #include <algorithm>
+#include <type_traits>
 #include <vector>
 
 #include "core/autograd.h"
@@ -15,13 +16,13 @@ void check_image(std::string_view operation, const Tensor& x) {
   if (x.dim() != 4) fail(operation, "input has shape {}, expected N x H x W x C", to_string(x.shape()));
 }
 
-void check_weight(std::string_view operation, const Tensor& x, const Tensor& weight, const Tensor& bias,
-                  int64_t in, int64_t out) {
+void check_weight(std::string_view operation, const Tensor& x, int64_t channels, const Tensor& weight,
+                  const Tensor& bias, int64_t in, int64_t out) {
   if (weight.dtype() != x.dtype()) {
     fail(operation, "input is {}, weight {}", to_string(x.dtype()), to_string(weight.dtype()));
   }
-  if (x.size(3) != in) {
-    fail(operation, "input has {} channels, weight expects {} (input {}, weight {})", x.size(3), in,
+  if (channels != in) {
+    fail(operation, "input has {} channels, weight expects {} (input {}, weight {})", channels, in,
          to_string(x.shape()), to_string(weight.shape()));
   }
   if (bias.defined() && (bias.shape() != Shape{out} || bias.dtype() != x.dtype())) {
@@ -42,13 +43,39 @@ Tensor bias_gradient(const Tensor& dy) {
   });
 }
 
+/// The parts of an image as kernels take them.
+template <class T>
+std::vector<kernels::Part<T>> channel_parts(std::span<const Tensor> parts) {
+  std::vector<kernels::Part<T>> result;
+  for (const Tensor& part : parts) {
+    result.push_back({part.data<std::remove_const_t<T>>(), part.size(3)});
+  }
+  return result;
+}
+
 }  // namespace
 
 Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const Conv2dOptions& options) {
-  check_image("conv2d", x);
+  return conv2d(std::span(&x, 1), weight, bias, options);
+}
+
+Tensor conv2d(std::span<const Tensor> parts, const Tensor& weight, const Tensor& bias,
+              const Conv2dOptions& options) {
+  if (parts.empty()) fail("conv2d", "no input");
+  const Tensor& x = parts.front();
+  int64_t channels = 0;
+  for (const Tensor& part : parts) {
+    check_image("conv2d", part);
+    if (part.dtype() != x.dtype() ||
+        !std::equal(x.shape().begin(), x.shape().end() - 1, part.shape().begin())) {
+      fail("conv2d", "input parts {} {} and {} {} do not fit", to_string(x.dtype()), to_string(x.shape()),
+           to_string(part.dtype()), to_string(part.shape()));
+    }
+    channels += part.size(3);
+  }
   if (weight.dim() != 4)
     fail("conv2d", "weight has shape {}, expected O x I x KH x KW", to_string(weight.shape()));
-  check_weight("conv2d", x, weight, bias, weight.size(1), weight.size(0));
+  check_weight("conv2d", x, channels, weight, bias, weight.size(1), weight.size(0));
   if (options.stride < 1 || options.padding < 0) {
     fail("conv2d", "stride {} and padding {}; expected at least 1 and 0", options.stride, options.padding);
   }
@@ -60,7 +87,7 @@ Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const C
   const kernels::ConvShape s{.n = x.size(0),
                              .h = x.size(1),
                              .w = x.size(2),
-                             .in = x.size(3),
+                             .in = channels,
                              .out = weight.size(0),
                              .kernel_h = weight.size(2),
                              .kernel_w = weight.size(3),
@@ -74,27 +101,38 @@ Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias, const C
   const std::shared_ptr<kernels::ConvPlan> plan = current_conv_plan();
   Tensor y({s.n, s.out_h(), s.out_w(), s.out}, x.dtype());
   dispatch_floating("conv2d", x.dtype(), [&]<class T>() {
-    kernels::conv_forward(s, *plan, x.data<T>(), weight.data<T>(), bias.defined() ? bias.data<T>() : nullptr,
-                          y.data<T>());
+    kernels::conv_forward<T>(s, *plan, channel_parts<const T>(parts), weight.data<T>(),
+                             bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
   });
-  if (!should_record({&x, &weight, &bias})) return y;
+  std::vector<Tensor> inputs(parts.begin(), parts.end());
+  inputs.insert(inputs.end(), {weight, bias});
+  if (!should_record(inputs)) return y;
+  std::vector<Tensor> kept;
+  for (const Tensor& part : parts) kept.push_back(part.saved());
   return record(
-      "conv2d", y, {x, weight, bias},
-      [s, plan, kept = x.saved(), weight = weight.detach()](const Tensor& dy, std::span<const char> needs) {
-        const Tensor input = needs[1] ? kept.restored() : kept;
-        std::vector<Tensor> grads(3);
+      "conv2d", y, inputs,
+      [s, plan, kept = std::move(kept), weight = weight.detach()](const Tensor& dy,
+                                                                  std::span<const char> needs) {
+        const size_t count = kept.size();
+        std::vector<Tensor> grads(count + 2);
         dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
-          if (needs[0]) {
-            grads[0] = Tensor(input.shape(), input.dtype());
-            kernels::conv_input_gradient(s, *plan, dy.data<T>(), weight.data<T>(),
-                                         static_cast<const T*>(nullptr), grads[0].data<T>());
+          if (std::any_of(needs.begin(), needs.end() - 2, [](char needed) { return needed != 0; })) {
+            std::vector<kernels::Part<T>> dx;
+            for (size_t i = 0; i < count; ++i) {
+              if (needs[i]) grads[i] = Tensor(kept[i].shape(), dy.dtype());
+              dx.push_back({needs[i] ? grads[i].data<T>() : nullptr, kept[i].size(3)});
+            }
+            kernels::conv_input_gradient<T>(s, *plan, dy.data<T>(), weight.data<T>(), nullptr, dx);
           }
-          if (needs[1]) {
-            grads[1] = Tensor(weight.shape(), weight.dtype());
-            kernels::conv_weight_gradient(s, *plan, input.data<T>(), dy.data<T>(), grads[1].data<T>());
+          if (needs[count]) {
+            std::vector<Tensor> values;
+            for (const Tensor& part : kept) values.push_back(part.restored());
+            grads[count] = Tensor(weight.shape(), weight.dtype());
+            kernels::conv_weight_gradient<T>(s, *plan, channel_parts<const T>(values), dy.data<T>(),
+                                             grads[count].data<T>());
           }
         });
-        if (needs[2]) grads[2] = bias_gradient(dy);
+        if (needs[count + 1]) grads[count + 1] = bias_gradient(dy);
         return grads;
       });
 }
@@ -107,7 +145,7 @@ Tensor conv_transpose2d(const Tensor& x, const Tensor& weight, const Tensor& bia
   if (weight.dim() != 4) {
     fail("conv_transpose2d", "weight has shape {}, expected I x O x KH x KW", to_string(weight.shape()));
   }
-  check_weight("conv_transpose2d", x, weight, bias, weight.size(0), weight.size(1));
+  check_weight("conv_transpose2d", x, x.size(3), weight, bias, weight.size(0), weight.size(1));
   if (options.stride < 1 || options.padding < 0) {
     fail("conv_transpose2d", "stride {} and padding {}; expected at least 1 and 0", options.stride,
          options.padding);
@@ -130,8 +168,9 @@ Tensor conv_transpose2d(const Tensor& x, const Tensor& weight, const Tensor& bia
   const std::shared_ptr<kernels::ConvPlan> plan = current_conv_plan();
   Tensor y({s.n, s.h, s.w, s.in}, x.dtype());
   dispatch_floating("conv_transpose2d", x.dtype(), [&]<class T>() {
-    kernels::conv_input_gradient(s, *plan, x.data<T>(), weight.data<T>(),
-                                 bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
+    const kernels::Part<T> whole{y.data<T>(), s.in};
+    kernels::conv_input_gradient<T>(s, *plan, x.data<T>(), weight.data<T>(),
+                                    bias.defined() ? bias.data<T>() : nullptr, {&whole, 1});
   });
   if (!should_record({&x, &weight, &bias})) return y;
   return record(
@@ -140,14 +179,14 @@ Tensor conv_transpose2d(const Tensor& x, const Tensor& weight, const Tensor& bia
         const Tensor input = needs[1] ? kept.restored() : kept;
         std::vector<Tensor> grads(3);
         dispatch_floating("conv_transpose2d", dy.dtype(), [&]<class T>() {
+          const kernels::Part<const T> gradient{dy.data<T>(), s.in};
           if (needs[0]) {
             grads[0] = Tensor(input.shape(), input.dtype());
-            kernels::conv_forward(s, *plan, dy.data<T>(), weight.data<T>(), static_cast<const T*>(nullptr),
-                                  grads[0].data<T>());
+            kernels::conv_forward<T>(s, *plan, {&gradient, 1}, weight.data<T>(), nullptr, grads[0].data<T>());
           }
           if (needs[1]) {
             grads[1] = Tensor(weight.shape(), weight.dtype());
-            kernels::conv_weight_gradient(s, *plan, dy.data<T>(), input.data<T>(), grads[1].data<T>());
+            kernels::conv_weight_gradient<T>(s, *plan, {&gradient, 1}, input.data<T>(), grads[1].data<T>());
           }
         });
         if (needs[2]) grads[2] = bias_gradient(dy);

@@ -1,6 +1,8 @@
 // Convolutions. Activations N x H x W x C; weights in PyTorch's layout.
 #pragma once
 
+#include <span>
+
 #include "core/tensor.h"
 
 namespace opaline {
@@ -17,6 +19,11 @@ struct Conv2dOptions {
 /// weight[o,i,kh,kw]. x: N x H x W x I, weight: O x I x KH x KW, bias: O or undefined. Result: N x OH x OW x
 /// O with OH = (H + 2*padding - KH) / stride + 1 (floor).
 Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias = {},
+              const Conv2dOptions& options = {});
+
+/// The same of images that are joined along their channels, without making the joined image. parts: N x H x W
+/// x I_1, N x H x W x I_2, ..; weight: O x (I_1 + I_2 + ..) x KH x KW.
+Tensor conv2d(std::span<const Tensor> parts, const Tensor& weight, const Tensor& bias = {},
               const Conv2dOptions& options = {});
 
 struct ConvTranspose2dOptions {

@@ -51,9 +51,11 @@ Passes<T> run(const ConvShape& s, int outputs) {
     direct_input_gradient(s, dy.data(), weight.data(), none, p.dx.data());
     direct_weight_gradient(s, x.data(), dy.data(), p.dweight.data());
   } else {
-    winograd_forward(outputs, s, x.data(), weight.data(), bias.data(), p.y.data());
-    winograd_input_gradient(outputs, s, dy.data(), weight.data(), none, p.dx.data());
-    winograd_weight_gradient(outputs, s, x.data(), dy.data(), p.dweight.data());
+    const Part<const T> in{x.data(), s.in};
+    const Part<T> gradient{p.dx.data(), s.in};
+    winograd_forward<T>(outputs, s, {&in, 1}, weight.data(), bias.data(), p.y.data());
+    winograd_input_gradient<T>(outputs, s, dy.data(), weight.data(), none, {&gradient, 1});
+    winograd_weight_gradient<T>(outputs, s, {&in, 1}, dy.data(), p.dweight.data());
   }
   return p;
 }
@@ -167,7 +169,8 @@ TEST_CASE("a number that is none reaches every output of its window") {
       if (outputs == kDirect) {
         direct_forward<float>(s, x.data(), weight.data(), nullptr, y.data());
       } else {
-        winograd_forward<float>(outputs, s, x.data(), weight.data(), nullptr, y.data());
+        const Part<const float> in{x.data(), s.in};
+        winograd_forward<float>(outputs, s, {&in, 1}, weight.data(), nullptr, y.data());
       }
       for (int row = 3; row <= 5; ++row) {
         for (int column = 4; column <= 6; ++column) {
