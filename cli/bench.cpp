@@ -9,6 +9,7 @@ void add_bench(CLI::App& app, Outcome&) {
   CLI::App* bench = app.add_subcommand("bench", "Measure speed, memory and error");
   bench->require_subcommand(1);
   add_bench_conv(*bench);
+  add_bench_layers(*bench);
   add_bench_step(*bench);
   add_bench_render(*bench);
   add_bench_noise(*bench);

@@ -13,7 +13,7 @@ packages=(
 )
 if [[ "${1:-}" == "--peers" ]]; then
   # OpenBLAS: with the reference BLAS that PyTorch would pull in, the comparison takes three times as long.
-  packages+=(python3-torch python3-numpy python3-pil libopenblas0-pthread)
+  packages+=(python3-torch python3-numpy python3-pil libopenblas0-pthread libdnnl-dev)
   # Mitsuba itself comes from PyPI into a virtual environment (bench/peers/mitsuba_render.py); it compiles with LLVM,
   # and refuses 14 and stumbles over 15.
   packages+=(python3-venv libllvm19)

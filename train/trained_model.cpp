@@ -1,5 +1,7 @@
 #include "train/trained_model.h"
 
+#include <algorithm>
+
 #include "core/error.h"
 
 namespace opaline {
@@ -20,7 +22,7 @@ TrainedModel load_trained_model(const RunFolder& run, const Warn& warn, std::vec
   model.state = checkpoint.state;
   model.checkpoint = checkpoint.folder;
   CascadeOptions options = cascade_options(model.config, checkpoint.state.stage);
-  options.reconstruction = false;
+  options.reconstruction = std::find(networks.begin(), networks.end(), "reconstruction") != networks.end();
   model.cascade = std::make_unique<Cascade>(options);
   for (const std::string& name : networks) {
     if (model.cascade->has(name) && !checkpoint.networks.contains(name)) {

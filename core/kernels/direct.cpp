@@ -57,14 +57,10 @@ void correlate(const Image<T>& x, int64_t top, int64_t left, int64_t stride, con
       t.bias = weights.has_bias ? weights.bias.data() + p * weights.width : nullptr;
       t.columns = std::min(weights.width, weights.columns - p * weights.width);
       for (int64_t row = first; row < last; ++row) {
-        const T* const in = source + (row - first) * stride * line;
-        T* const out = y.data + image * y.image_stride + row * y.row_stride + p * weights.width;
-        for (int64_t column = 0; column < out_w; column += tile.rows) {
-          t.rows = std::min(tile.rows, out_w - column);
-          t.a = in + column * t.a_stride;
-          t.c = out + column * y.pixel_stride;
-          tile.dot(t, weights.vectors);
-        }
+        t.rows = out_w;
+        t.a = source + (row - first) * stride * line;
+        t.c = y.data + image * y.image_stride + row * y.row_stride + p * weights.width;
+        tile.dot(t, weights.vectors);
       }
     }
   });

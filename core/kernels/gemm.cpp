@@ -108,13 +108,11 @@ void gemm_slice(int64_t m, int64_t n, int64_t k0, int64_t k1, const T* a, int64_
     t.b = packed.panel(p);
     t.bias = packed.has_bias ? packed.bias.data() + p * packed.width : nullptr;
     t.columns = std::min(packed.width, n - p * packed.width);
-    const int64_t end = std::min(m, (unit + 1) * kRowsPerUnit);
-    for (int64_t row = unit * kRowsPerUnit; row < end; row += tile.rows) {
-      t.rows = std::min(tile.rows, end - row);
-      t.a = a + row * lda + k0;
-      t.c = c + row * n + p * packed.width;
-      tile.dot(t, packed.vectors);
-    }
+    const int64_t row = unit * kRowsPerUnit;
+    t.rows = std::min(kRowsPerUnit, m - row);
+    t.a = a + row * lda + k0;
+    t.c = c + row * n + p * packed.width;
+    tile.dot(t, packed.vectors);
   };
   if (parallel) {
     parallel_for(units * packed.panels, run_unit);
@@ -141,12 +139,10 @@ void PackedMatrix<T>::multiply(int64_t m, const T* a, int64_t a_stride, T* c, in
   for (int64_t p = 0; p < packed_.panels; ++p) {
     t.b = packed_.panel(p);
     t.columns = std::min(packed_.width, packed_.columns - p * packed_.width);
-    for (int64_t row = 0; row < m; row += tile.rows) {
-      t.rows = std::min(tile.rows, m - row);
-      t.a = a + row * a_stride;
-      t.c = c + row * c_stride + p * packed_.width;
-      tile.dot(t, packed_.vectors);
-    }
+    t.rows = m;
+    t.a = a;
+    t.c = c + p * packed_.width;
+    tile.dot(t, packed_.vectors);
   }
 }
 

@@ -21,59 +21,55 @@ constexpr int kRows = 8;
 constexpr int kRows = 4;
 #endif
 
-// Products summed in registers before they go to memory: a longer chain of roundings would cost digits.
+// Products summed in registers before they go to memory. A longer chain of roundings would cost digits; and a
+// piece of the panel as long as this stays in the innermost cache while all rows pass by.
 constexpr int64_t kChain = 128;
 
+/// A piece of a panel: positions [begin, end) of the runs [first, last).
+struct Piece {
+  int64_t first, last, begin, end;
+  bool start;  // with the bias instead of what is there
+};
+
+/// kM rows from row `row` on, over a piece of the panel.
 template <class T, int kM, int kVectors>
-HWY_ATTR void dot(const DotTile<T>& t) {
+HWY_ATTR void dot(const DotTile<T>& t, int64_t row, const Piece& piece) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
   V acc[kM][kVectors];
   for (int v = 0; v < kVectors; ++v) {
-    const V start = t.bias != nullptr ? hn::LoadU(d, t.bias + v * lanes) : hn::Zero(d);
-    for (int i = 0; i < kM; ++i) acc[i][v] = start;
+    const V bias = piece.start && t.bias != nullptr ? hn::LoadU(d, t.bias + v * lanes) : hn::Zero(d);
+    for (int i = 0; i < kM; ++i) acc[i][v] = bias;
   }
-  const auto flush = [&](bool add) HWY_ATTR {
-    for (int v = 0; v < kVectors; ++v) {
-      const int64_t left = t.columns - v * lanes;
-      const auto mask = hn::FirstN(d, static_cast<size_t>(left < 0 ? 0 : left));
-      for (int i = 0; i < kM; ++i) {
-        T* const c = t.c + i * t.c_stride + v * lanes;
-        if (left >= lanes) {
-          hn::StoreU(add ? hn::Add(hn::LoadU(d, c), acc[i][v]) : acc[i][v], d, c);
-        } else if (left > 0) {
-          hn::BlendedStore(add ? hn::Add(hn::MaskedLoad(mask, d, c), acc[i][v]) : acc[i][v], mask, d, c);
-        }
-        acc[i][v] = hn::Zero(d);
-      }
-    }
-  };
-  const T* b = t.b;
-  bool flushed = false;
-  int64_t chain = 0;
-  for (int64_t q = 0; q < t.runs; ++q) {
-    const T* const run = t.a + q * t.a_run_stride;
-    for (int64_t begin = 0; begin < t.run; begin += kChain) {
-      const int64_t end = begin + kChain < t.run ? begin + kChain : t.run;
-      if (chain + end - begin > kChain) {
-        flush(flushed);
-        flushed = true;
-        chain = 0;
-      }
-      chain += end - begin;
-      for (int64_t k = begin; k < end; ++k, b += kVectors * lanes) {
-        V column[kVectors];
-        for (int v = 0; v < kVectors; ++v) column[v] = hn::Load(d, b + v * lanes);
+  const T* const a = t.a + row * t.a_stride;
+  const T* b = t.b + (piece.first * t.run + piece.begin) * kVectors * lanes;
+  for (int64_t q = piece.first; q < piece.last; ++q) {
+    const T* const run = a + q * t.a_run_stride;
+    for (int64_t k = piece.begin; k < piece.end; ++k, b += kVectors * lanes) {
+      V column[kVectors];
+      for (int v = 0; v < kVectors; ++v) column[v] = hn::Load(d, b + v * lanes);
 #pragma GCC unroll 16
-        for (int i = 0; i < kM; ++i) {
-          const V row = hn::Set(d, run[i * t.a_stride + k]);
-          for (int v = 0; v < kVectors; ++v) acc[i][v] = hn::MulAdd(row, column[v], acc[i][v]);
-        }
+      for (int i = 0; i < kM; ++i) {
+        const V value = hn::Set(d, run[i * t.a_stride + k]);
+        for (int v = 0; v < kVectors; ++v) acc[i][v] = hn::MulAdd(value, column[v], acc[i][v]);
       }
     }
   }
-  flush(flushed);
+  T* const c = t.c + row * t.c_stride;
+  for (int v = 0; v < kVectors; ++v) {
+    const int64_t left = t.columns - v * lanes;
+    const auto mask = hn::FirstN(d, static_cast<size_t>(left < 0 ? 0 : left));
+    for (int i = 0; i < kM; ++i) {
+      T* const to = c + i * t.c_stride + v * lanes;
+      if (left >= lanes) {
+        hn::StoreU(piece.start ? acc[i][v] : hn::Add(hn::LoadU(d, to), acc[i][v]), d, to);
+      } else if (left > 0) {
+        hn::BlendedStore(piece.start ? acc[i][v] : hn::Add(hn::MaskedLoad(mask, d, to), acc[i][v]), mask, d,
+                         to);
+      }
+    }
+  }
 }
 
 template <class T, int kM, int kVectors>
@@ -115,7 +111,7 @@ HWY_ATTR void outer(const OuterTile<T>& t) {
 
 template <class T, int kVectors, size_t... kI>
 constexpr auto dot_table(std::index_sequence<kI...>) {
-  return std::array<void (*)(const DotTile<T>&), sizeof...(kI)>{
+  return std::array<void (*)(const DotTile<T>&, int64_t, const Piece&), sizeof...(kI)>{
       &dot<T, static_cast<int>(kI) + 1, kVectors>...};
 }
 
@@ -131,7 +127,23 @@ template <class T>
 void run_dot(const DotTile<T>& tile, int64_t vectors) {
   static constexpr auto kOne = dot_table<T, 1>(Rows{});
   static constexpr auto kTwo = dot_table<T, 2>(Rows{});
-  (vectors == 1 ? kOne : kTwo)[static_cast<size_t>(tile.rows - 1)](tile);
+  const auto& table = vectors == 1 ? kOne : kTwo;
+  const auto run_piece = [&](const Piece& piece) {
+    for (int64_t row = 0; row < tile.rows; row += kRows) {
+      table[static_cast<size_t>(tile.rows - row < kRows ? tile.rows - row : kRows) - 1](tile, row, piece);
+    }
+  };
+  // Several short runs make a piece, or a part of a long one; parts are as even as they can be.
+  const int64_t runs_each = tile.run < kChain ? kChain / (tile.run < 1 ? 1 : tile.run) : 1;
+  const int64_t parts = (tile.run + kChain - 1) / kChain < 1 ? 1 : (tile.run + kChain - 1) / kChain;
+  bool start = true;
+  for (int64_t q = 0; q < tile.runs; q += runs_each) {
+    const int64_t last = q + runs_each < tile.runs ? q + runs_each : tile.runs;
+    for (int64_t part = 0; part < parts; ++part) {
+      run_piece({q, last, part * tile.run / parts, (part + 1) * tile.run / parts, start});
+      start = false;
+    }
+  }
 }
 
 template <class T>

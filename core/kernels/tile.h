@@ -21,7 +21,7 @@ struct DotTile {
   const T* bias = nullptr;  ///< `width` values or null for zeros
   T* c = nullptr;
   int64_t c_stride = 0;
-  int64_t rows = 0;     ///< at most Tiles::rows
+  int64_t rows = 0;
   int64_t columns = 0;  ///< at most the panel's width
 };
 
@@ -47,7 +47,7 @@ struct OuterTile {
 /// The tiles of the best instruction set that this machine has.
 template <class T>
 struct Tiles {
-  int64_t rows = 0;                                                ///< most rows of a tile
+  int64_t rows = 0;                                                ///< most rows of an outer tile
   int64_t lanes = 0;                                               ///< elements of a vector
   void (*dot)(const DotTile<T>& tile, int64_t vectors) = nullptr;  ///< panel width = vectors * lanes; 1 or 2
   void (*outer)(const OuterTile<T>& tile) = nullptr;               ///< one vector where `columns` fit it

@@ -156,13 +156,10 @@ void convolve(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64
     for (int64_t f = 0; f < frequencies; ++f) {
       for (int64_t p = 0; p < filters.panels; ++p) {
         t.b = filters.values.data() + f * filters.frequency + p * filters.in * filters.width;
-        T* const to = product.data() + f * out_layout.frequency + p * out_layout.panel;
-        for (int64_t i = 0; i < count; i += gemm.rows) {
-          t.rows = std::min(gemm.rows, count - i);
-          t.a = in.data() + f * in_layout.frequency + i * k.lanes;
-          t.c = to + i * filters.width;
-          gemm.dot(t, 2);
-        }
+        t.rows = count;
+        t.a = in.data() + f * in_layout.frequency;
+        t.c = product.data() + f * out_layout.frequency + p * out_layout.panel;
+        gemm.dot(t, 2);
       }
     }
     at = out_layout;
@@ -258,17 +255,20 @@ class WeightSums {
     const Tiles<T>& gemm = tiles<T>();
     OuterTile<T> t;
     t.a_stride = k_.lanes;
-    t.b = b + f * b_.frequency + panel * b_.panel;
     t.b_stride = width_;
-    t.pixels = count;
     t.c_stride = s_.in;
     t.columns = std::min(width_, s_.in - panel * width_);
-    t.accumulate = accumulate;
-    for (int64_t o = 0; o < s_.out; o += gemm.rows) {
-      t.a = a + f * a_.frequency + o / k_.lanes * a_.panel + o % k_.lanes;
-      t.rows = std::min(gemm.rows, s_.out - o);
-      t.c = sums + f * sums_frequency() + o * s_.in + panel * width_;
-      gemm.outer(t);
+    constexpr int64_t kPiece = 128;  // tiles whose panel stays in the innermost cache
+    for (int64_t first = 0; first < count; first += kPiece) {
+      t.b = b + f * b_.frequency + panel * b_.panel + first * width_;
+      t.pixels = std::min(kPiece, count - first);
+      t.accumulate = accumulate || first > 0;
+      for (int64_t o = 0; o < s_.out; o += gemm.rows) {
+        t.a = a + f * a_.frequency + o / k_.lanes * a_.panel + o % k_.lanes + first * k_.lanes;
+        t.rows = std::min(gemm.rows, s_.out - o);
+        t.c = sums + f * sums_frequency() + o * s_.in + panel * width_;
+        gemm.outer(t);
+      }
     }
   }
 
