@@ -93,6 +93,7 @@ class Step {
   virtual void go_backward(const Tensor& result) { backward(result); }
   virtual void zero_grad() = 0;
   virtual void set_training(bool on) = 0;
+  virtual std::vector<NamedTensor> parameters() const = 0;
 };
 
 class NetworkStep : public Step {
@@ -121,17 +122,21 @@ class NetworkStep : public Step {
   }
   void zero_grad() override { network_->zero_grad(); }
   void set_training(bool on) override { network_->set_training(on); }
+  std::vector<NamedTensor> parameters() const override { return network_->named_parameters(); }
 
  private:
   std::unique_ptr<Network> network_;
   Tensor input_, cotangent_;
 };
 
+/// A stage with its losses, or for "cascade" what prediction computes: all networks but the reconstruction.
 class StageStep : public Step {
  public:
   explicit StageStep(const BenchArguments& arguments)
-      : cascade_({.network = {.image_size = arguments.size, .width = arguments.width},
-                  .stage = arguments.net == "stage1" ? 1 : 2}) {
+      : losses_(arguments.net != "cascade"),
+        cascade_({.network = {.image_size = arguments.size, .width = arguments.width},
+                  .stage = arguments.net == "stage1" ? 1 : 2,
+                  .reconstruction = arguments.net == "stage2"}) {
     cascade_.initialize(1);
     const Variant variant = cascade_.options().network.variant;
     const int64_t b = arguments.batch;
@@ -146,21 +151,27 @@ class StageStep : public Step {
     targets_.reconstruction = random_tensor({b, s, s, kBsdfChannels}, 6);
   }
   Tensor forward() override {
+    if (!losses_) return cascade_.forward(input_).sss;
     const LossOptions losses;
     const CascadeWanted wanted = wanted_outputs(losses, cascade_.options());
     return compute_losses(losses, cascade_.forward(input_, wanted), targets_).total;
   }
   void zero_grad() override { cascade_.zero_grad(); }
   void set_training(bool on) override { cascade_.set_training(on); }
+  std::vector<NamedTensor> parameters() const override { return cascade_.named_parameters(); }
 
  private:
+  bool losses_;
   Cascade cascade_;
   CascadeInput input_;
   LossTargets targets_;
 };
 
 void run_bench_step(const BenchArguments& arguments) {
-  const bool stage = arguments.net == "stage1" || arguments.net == "stage2";
+  const bool stage = arguments.net == "stage1" || arguments.net == "stage2" || arguments.net == "cascade";
+  if (arguments.net == "cascade" && !arguments.forward_only) {
+    fail_usage("bench step", "cascade is what prediction computes: it needs --forward");
+  }
   std::unique_ptr<Step> step;
   if (stage) {
     step = std::make_unique<StageStep>(arguments);
@@ -171,6 +182,11 @@ void run_bench_step(const BenchArguments& arguments) {
 
   // The forward pass alone is what prediction runs: with running statistics, so that one image will do.
   step->set_training(!arguments.forward_only);
+
+  const int64_t before = tensor_pool().bytes_in_use();
+  int64_t gradients = 0;
+  for (const NamedTensor& parameter : step->parameters()) gradients += parameter.tensor.byte_size();
+  if (arguments.forward_only) gradients = 0;
 
   const NumericsGuard numerics(arguments.numerics);
   // The warm-up fills the pool and, because it records, tells the work.
@@ -202,13 +218,18 @@ void run_bench_step(const BenchArguments& arguments) {
   const double gflops = 2e-9 * static_cast<double>(macs) / middle;
   const int64_t peak = tensor_pool().peak_bytes();
   if (arguments.json) {
-    const nlohmann::ordered_json json = {{"seconds", middle}, {"gflops", gflops}, {"peak_bytes", peak}};
+    const nlohmann::ordered_json json = {{"seconds", middle},
+                                         {"gflops", gflops},
+                                         {"peak_bytes", peak},
+                                         {"beyond_parameters_bytes", peak - before - gradients}};
     fmt::print("{}\n", json.dump());
   } else {
-    fmt::print("{} {}, {} x {} x {}: {:.4g} s, {:.4g} GFLOP/s ({:.4g} GMAC), peak {:.4g} MiB\n",
-               arguments.net, arguments.forward_only ? "forward" : "forward and backward", arguments.batch,
-               arguments.size, arguments.size, middle, gflops, 1e-9 * static_cast<double>(macs),
-               static_cast<double>(peak) / (1 << 20));
+    fmt::print(
+        "{} {}, {} x {} x {}: {:.4g} s, {:.4g} GFLOP/s ({:.4g} GMAC), peak {:.4g} MiB, of "
+        "which {:.4g} beyond weights, gradients and inputs\n",
+        arguments.net, arguments.forward_only ? "forward" : "forward and backward", arguments.batch,
+        arguments.size, arguments.size, middle, gflops, 1e-9 * static_cast<double>(macs),
+        static_cast<double>(peak) / (1 << 20), static_cast<double>(peak - before - gradients) / (1 << 20));
   }
 }
 
@@ -222,7 +243,7 @@ void add_bench_step(CLI::App& bench) {
                            "optimiser: the median, the rate\n"
                            "by the direct-convolution count, and the peak of the storage pool.");
   std::vector<std::string> nets(kNetworkNames.begin(), kNetworkNames.end());
-  nets.insert(nets.end(), {"stage1", "stage2"});
+  nets.insert(nets.end(), {"stage1", "stage2", "cascade"});
   command->add_option("--net", arguments->net, fmt::format("One of {}", fmt::join(nets, ", ")))
       ->required()
       ->check(CLI::IsMember(nets));

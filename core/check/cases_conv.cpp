@@ -55,6 +55,33 @@ OpCase conv2d_case(const std::string& variant, const Geometry& g) {
   return result;
 }
 
+/// The same input in two parts, the first of so many channels.
+OpCase conv2d_parts_case(const std::string& variant, const Geometry& g, int64_t first) {
+  OpCase result = conv2d_case(variant, g);
+  Shape x = g.x, other = g.x;
+  x[3] = first;
+  other[3] = g.x[3] - first;
+  result.inputs[0].shape = x;
+  result.inputs.insert(result.inputs.begin() + 1, {.name = "other", .shape = other});
+  result.forward = [g](std::span<const Tensor> in) {
+    return conv2d(in.first(2), in[2], at_or_none(in, 3),
+                  {.stride = g.stride,
+                   .padding = g.padding,
+                   .padding_mode = g.reflect ? Padding::kReflect : Padding::kZeros});
+  };
+  result.reference = [whole = conv2d_case(variant, g).reference, g, first](std::span<const Array> in) {
+    Array joined(g.x);
+    for (int64_t i = 0; i < joined.count(); ++i) {
+      const int64_t pixel = i / g.x[3], c = i % g.x[3];
+      joined[i] = c < first ? in[0][pixel * first + c] : in[1][pixel * (g.x[3] - first) + c - first];
+    }
+    std::vector<Array> inputs{joined};
+    inputs.insert(inputs.end(), in.begin() + 2, in.end());
+    return whole(inputs);
+  };
+  return result;
+}
+
 OpCase conv_transpose2d_case(const std::string& variant, const Geometry& g) {
   const reference::ConvParameters parameters{.stride = g.stride, .padding = g.padding};
   OpCase result{.name = "conv_transpose2d/" + variant,
@@ -125,6 +152,10 @@ std::vector<OpCase> conv_cases() {
                   {.x = {2, 5, 6, 3}, .out = 5, .kernel_h = 7, .kernel_w = 7, .padding = 3, .reflect = true}),
       conv2d_case("k3_reflect", {.x = {1, 5, 6, 18}, .out = 7, .padding = 1, .reflect = true, .bias = true}),
       conv2d_case("k3_s2_reflect", {.x = {1, 6, 7, 4}, .out = 5, .stride = 2, .padding = 1, .reflect = true}),
+      conv2d_parts_case("parts", {.x = {2, 6, 5, 24}, .out = 18, .padding = 1, .bias = true}, 16),
+      conv2d_parts_case("parts_off_lanes", {.x = {1, 5, 7, 9}, .out = 5, .padding = 1}, 4),
+      conv2d_parts_case("parts_reflect", {.x = {1, 5, 6, 20}, .out = 16, .padding = 1, .reflect = true}, 16),
+      conv2d_parts_case("parts_s2", {.x = {1, 6, 7, 6}, .out = 3, .stride = 2, .padding = 1}, 2),
       conv2d_case("empty_batch", {.x = {0, 4, 5, 3}, .out = 2, .padding = 1, .bias = true}),
       with_value(conv2d_case("nan", {.x = {1, 6, 7, 5}, .out = 4, .padding = 1}), kNan, 5 * (2 * 7 + 3) + 1),
       with_value(conv2d_case("infinity", {.x = {1, 6, 7, 5}, .out = 4, .stride = 2, .padding = 1}), kInfinity,

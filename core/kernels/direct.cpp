@@ -25,9 +25,11 @@ void correlate(const Image<T>& x, int64_t top, int64_t left, int64_t stride, con
                int64_t out_h, int64_t out_w, const OutputView<T>& y) {
   const Tiles<T>& tile = tiles<T>();
   // A unit holds enough pixels to make a panel of weights worth fetching.
-  constexpr int64_t kPixelsPerUnit = 256;
+  constexpr int64_t kPixelsPerUnit = 256, kRowsPerUnit = 4;
   const int64_t channels = x.channels;
-  const int64_t unit_rows = std::clamp<int64_t>(kPixelsPerUnit / std::max<int64_t>(out_w, 1), 1, out_h);
+  // Several rows, too, because the rows of the kernel overlap.
+  const int64_t unit_rows = std::min(std::max(kPixelsPerUnit / std::max<int64_t>(out_w, 1), kRowsPerUnit),
+                                     std::max<int64_t>(out_h, 1));
   const int64_t units_per_image = (out_h + unit_rows - 1) / unit_rows;
   const int64_t in_w = (out_w - 1) * stride + weights.run / std::max<int64_t>(channels, 1);
   const auto in_h = [&](int64_t rows) { return (rows - 1) * stride + weights.kernel_h; };
@@ -51,17 +53,18 @@ void correlate(const Image<T>& x, int64_t top, int64_t left, int64_t stride, con
     t.a_run_stride = line;
     t.runs = weights.kernel_h;
     t.run = weights.run;
+    t.a = source;
+    t.a_line = stride * line;
+    t.c_line = y.row_stride;
     t.c_stride = y.pixel_stride;
+    t.lines = last - first;
+    t.rows = out_w;
     for (int64_t p = 0; p < weights.panels; ++p) {
       t.b = weights.panel(p);
       t.bias = weights.has_bias ? weights.bias.data() + p * weights.width : nullptr;
       t.columns = std::min(weights.width, weights.columns - p * weights.width);
-      for (int64_t row = first; row < last; ++row) {
-        t.rows = out_w;
-        t.a = source + (row - first) * stride * line;
-        t.c = y.data + image * y.image_stride + row * y.row_stride + p * weights.width;
-        tile.dot(t, weights.vectors);
-      }
+      t.c = y.data + image * y.image_stride + first * y.row_stride + p * weights.width;
+      tile.dot(t, weights.vectors);
     }
   });
 }

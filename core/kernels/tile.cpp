@@ -31,9 +31,9 @@ struct Piece {
   bool start;  // with the bias instead of what is there
 };
 
-/// kM rows from row `row` on, over a piece of the panel.
+/// kM rows of a line from row `row` on, over a piece of the panel.
 template <class T, int kM, int kVectors>
-HWY_ATTR void dot(const DotTile<T>& t, int64_t row, const Piece& piece) {
+HWY_ATTR void dot(const DotTile<T>& t, int64_t line, int64_t row, const Piece& piece) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
@@ -42,7 +42,7 @@ HWY_ATTR void dot(const DotTile<T>& t, int64_t row, const Piece& piece) {
     const V bias = piece.start && t.bias != nullptr ? hn::LoadU(d, t.bias + v * lanes) : hn::Zero(d);
     for (int i = 0; i < kM; ++i) acc[i][v] = bias;
   }
-  const T* const a = t.a + row * t.a_stride;
+  const T* const a = t.a + line * t.a_line + row * t.a_stride;
   const T* b = t.b + (piece.first * t.run + piece.begin) * kVectors * lanes;
   for (int64_t q = piece.first; q < piece.last; ++q) {
     const T* const run = a + q * t.a_run_stride;
@@ -56,7 +56,7 @@ HWY_ATTR void dot(const DotTile<T>& t, int64_t row, const Piece& piece) {
       }
     }
   }
-  T* const c = t.c + row * t.c_stride;
+  T* const c = t.c + line * t.c_line + row * t.c_stride;
   for (int v = 0; v < kVectors; ++v) {
     const int64_t left = t.columns - v * lanes;
     const auto mask = hn::FirstN(d, static_cast<size_t>(left < 0 ? 0 : left));
@@ -111,7 +111,7 @@ HWY_ATTR void outer(const OuterTile<T>& t) {
 
 template <class T, int kVectors, size_t... kI>
 constexpr auto dot_table(std::index_sequence<kI...>) {
-  return std::array<void (*)(const DotTile<T>&, int64_t, const Piece&), sizeof...(kI)>{
+  return std::array<void (*)(const DotTile<T>&, int64_t, int64_t, const Piece&), sizeof...(kI)>{
       &dot<T, static_cast<int>(kI) + 1, kVectors>...};
 }
 
@@ -129,8 +129,11 @@ void run_dot(const DotTile<T>& tile, int64_t vectors) {
   static constexpr auto kTwo = dot_table<T, 2>(Rows{});
   const auto& table = vectors == 1 ? kOne : kTwo;
   const auto run_piece = [&](const Piece& piece) {
-    for (int64_t row = 0; row < tile.rows; row += kRows) {
-      table[static_cast<size_t>(tile.rows - row < kRows ? tile.rows - row : kRows) - 1](tile, row, piece);
+    for (int64_t line = 0; line < tile.lines; ++line) {
+      for (int64_t row = 0; row < tile.rows; row += kRows) {
+        table[static_cast<size_t>(tile.rows - row < kRows ? tile.rows - row : kRows) - 1](tile, line, row,
+                                                                                          piece);
+      }
     }
   };
   // Several short runs make a piece, or a part of a long one; parts are as even as they can be.

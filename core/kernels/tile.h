@@ -7,12 +7,14 @@
 
 namespace opaline::kernels {
 
-/// c[i][j] = bias[j] + sum_{q < runs} sum_{k < run} a[i*a_stride + q*a_run_stride + k] * b[q*run + k][j]
-/// for i < rows, j < columns. For a convolution i is a pixel of an output row, q the kernel's row, and
-/// k runs over (kernel column, channel), which are contiguous in a channels-last image.
+/// c[l][i][j] = bias[j] + sum_{q < runs} sum_{k < run} a[l*a_line + i*a_stride + q*a_run_stride + k] *
+/// b[q*run + k][j] for l < lines, i < rows, j < columns. For a convolution l is an output row, i a pixel of
+/// it, q the kernel's row, and k runs over (kernel column, channel), which are contiguous in a channels-last
+/// image.
 template <class T>
 struct DotTile {
   const T* a = nullptr;
+  int64_t a_line = 0;
   int64_t a_stride = 0;
   int64_t a_run_stride = 0;
   int64_t runs = 1;
@@ -20,7 +22,9 @@ struct DotTile {
   const T* b = nullptr;     ///< panel of [runs * run][width], zero beyond `columns`; 64-byte aligned
   const T* bias = nullptr;  ///< `width` values or null for zeros
   T* c = nullptr;
+  int64_t c_line = 0;
   int64_t c_stride = 0;
+  int64_t lines = 1;
   int64_t rows = 0;
   int64_t columns = 0;  ///< at most the panel's width
 };

@@ -108,10 +108,12 @@ int64_t widest(const std::vector<Image<T>>& parts) {
   return channels;
 }
 
-/// Tiles of a block: as many as keep its transformed values near the core.
-int64_t tiles_per_block(int64_t bytes_per_tile) {
-  constexpr int64_t kBytes = int64_t{3} << 19;
-  return std::clamp<int64_t>(kBytes / bytes_per_tile / 8 * 8, 32, 128);
+/// Tiles of a block: as many as keep its transformed values near the core, and more where the filters are too
+/// large for the shared cache and every block fetches them from memory.
+int64_t tiles_per_block(int64_t bytes_per_tile, int64_t filter_bytes) {
+  constexpr int64_t kBytes = int64_t{3} << 19, kLargeFilters = int64_t{3} << 23;
+  const int64_t least = filter_bytes > kLargeFilters ? 64 : 32;
+  return std::clamp<int64_t>(kBytes / bytes_per_tile / 8 * 8, least, 128);
 }
 
 /// y = correlation of x, `padding` pixels of border included, with the filters; parts of y without data are
@@ -124,7 +126,8 @@ void convolve(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64
   const int64_t frequencies = k.tile * k.tile, out = filters.out;
   const int64_t out_width = filters.panels * filters.width;
   const int64_t block =
-      tiles_per_block(frequencies * (filters.in + out_width) * static_cast<int64_t>(sizeof(T)));
+      tiles_per_block(frequencies * (filters.in + out_width) * static_cast<int64_t>(sizeof(T)),
+                      frequencies * filters.frequency * static_cast<int64_t>(sizeof(T)));
   const Scratch<T> padded_bias(out_width);
   if (bias != nullptr) {
     padded_bias.zero();

@@ -91,11 +91,14 @@ Tensor reduce_to(const Tensor& grad, const Shape& shape) {
 Tensor add(const Tensor& a, const Tensor& b) {
   const Tensor c = broadcast("add", a, b, []<class T>(T p, T q) { return p + q; });
   if (!should_record({&a, &b})) return c;
-  return record("add", c, {a, b},
-                [sa = a.shape(), sb = b.shape()](const Tensor& dc, std::span<const char> needs) {
-                  return std::vector<Tensor>{needs[0] ? reduce_to(dc, sa) : Tensor(),
-                                             needs[1] ? reduce_to(dc, sb) : Tensor()};
-                });
+  const auto gradient = [sa = a.shape(), sb = b.shape()](const Tensor& dc, std::span<const char> needs) {
+    return std::vector<Tensor>{needs[0] ? reduce_to(dc, sa) : Tensor(),
+                               needs[1] ? reduce_to(dc, sb) : Tensor()};
+  };
+  // Two tensors in place of one are worth keeping only where one of them is made again itself.
+  if (!a.recomputes() && !b.recomputes()) return record("add", c, {a, b}, gradient);
+  return record("add", c, {a, b}, gradient,
+                [p = a.saved(), q = b.saved()] { return add(p.restored(), q.restored()); });
 }
 
 Tensor sub(const Tensor& a, const Tensor& b) {

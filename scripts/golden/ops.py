@@ -41,7 +41,8 @@ def nhwc(x):
 
 
 def conv2d(t, o):
-    x, padding = nchw(t["x"]), o["padding"]
+    x = torch.cat([t["x"], t["other"]], -1) if "other" in t else t["x"]
+    x, padding = nchw(x), o["padding"]
     if o["reflect"]:
         x, padding = F.pad(x, (padding,) * 4, mode="reflect"), 0
     return nhwc(F.conv2d(x, t["weight"], t.get("bias"), stride=o["stride"], padding=padding))

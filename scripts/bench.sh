@@ -1,0 +1,45 @@
+#!/usr/bin/env bash
+# Times the engine beside its peers, which take turns with it: single convolutions beside oneDNN, the networks beside
+# PyTorch, all with their errors or memory. About half an hour on two cores; nothing else should run.
+#   scripts/bench.sh           everything
+#   scripts/bench.sh --quick   one network and one size
+# Threads: OMP_NUM_THREADS (default: all cores).
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+quick=0
+if [[ "${1:-}" == "--quick" ]]; then
+  quick=1
+elif [[ $# -gt 0 ]]; then
+  echo "usage: scripts/bench.sh [--quick]" >&2
+  exit 2
+fi
+
+./scripts/setup.sh
+./scripts/setup.sh --peers
+cmake --preset release -DOPALINE_BUILD_BENCH=ON >/dev/null
+cmake --build --preset release --target opaline bench_onednn bench_ops >/dev/null
+
+threads=${OMP_NUM_THREADS:-$(nproc)}
+peer=(bench/peers/step_pytorch.py --threads "$threads")
+build/release/bench_onednn --threads "$threads"
+echo
+if [[ $quick -eq 1 ]]; then
+  "${peer[@]}" --net normal --size 64 --batch 8
+  exit 0
+fi
+"${peer[@]}" --net normal sss illumination stage1 stage2
+echo
+"${peer[@]}" --net cascade --forward --batch 1
+echo
+"${peer[@]}" --net stage2 --numerics strict
+echo
+"${peer[@]}" --net normal stage1 --size 64 --batch 32
+echo
+"${peer[@]}" --net normal stage1 --width 16
+echo
+build/release/bench_ops --threads "$threads"
+echo
+for net in normal illumination sss reconstruction; do
+  build/release/opaline bench layers --net "$net" --size 128
+done
