@@ -28,8 +28,7 @@ Tensor gelu(const Tensor& x) {
       []<class T>(T dy, T v) {
         const T cdf = T(0.5) * (T(1) + std::erf(v * std::numbers::sqrt2_v<T> / T(2)));
         const T pdf = std::exp(T(-0.5) * v * v) * std::numbers::inv_sqrtpi_v<T> / std::numbers::sqrt2_v<T>;
-        // An infinite v has density zero, and zero times infinity would be NaN.
-        return dy * (pdf > T{} ? cdf + v * pdf : cdf);
+        return dy * (cdf + v * pdf);  // NaN for an infinite v, as PyTorch's
       });
 }
 
