@@ -58,28 +58,33 @@ void channel_statistics(const T* x, int64_t rows, int64_t columns, double* mean,
   }
 }
 
-/// y = (x - mean) * scale + offset for each channel; scale = weight / sqrt(var + eps).
+/// y = (x - mean) * inverse * weight + offset for each channel; inverse = 1 / sqrt(var + eps). The two
+/// factors stay apart: their product underflows where the values are huge and the weight is small.
 template <class T>
 void apply_channels(const T* x, int64_t rows, int64_t columns, const double* mean, const double* inverse,
                     const T* weight, const T* bias, T* y) {
-  std::vector<T> center(static_cast<size_t>(columns)), scale(center.size()), offset(center.size());
+  std::vector<T> center(static_cast<size_t>(columns)), scale(center.size()), factor(center.size()),
+      offset(center.size());
   for (int64_t j = 0; j < columns; ++j) {
     const auto k = static_cast<size_t>(j);
     center[k] = static_cast<T>(mean[j]);
-    scale[k] = static_cast<T>(inverse[j] * (weight != nullptr ? static_cast<double>(weight[j]) : 1.0));
+    scale[k] = static_cast<T>(inverse[j]);
+    factor[k] = weight != nullptr ? weight[j] : T(1);
     // What rounding the mean to T lost goes into the offset.
     offset[k] = static_cast<T>((bias != nullptr ? static_cast<double>(bias[j]) : 0.0) +
-                               (static_cast<double>(center[k]) - mean[j]) * static_cast<double>(scale[k]));
+                               (static_cast<double>(center[k]) - mean[j]) * inverse[j] *
+                                   static_cast<double>(factor[k]));
   }
   const T* const c = center.data();
   const T* const s = scale.data();
+  const T* const f = factor.data();
   const T* const o = offset.data();
   parallel_blocks(rows, std::max<int64_t>(1, 32768 / std::max<int64_t>(columns, 1)),
                   [&](int64_t begin, int64_t end) {
                     for (int64_t row = begin; row < end; ++row) {
                       const T* const from = x + row * columns;
                       T* const to = y + row * columns;
-                      for (int64_t j = 0; j < columns; ++j) to[j] = (from[j] - c[j]) * s[j] + o[j];
+                      for (int64_t j = 0; j < columns; ++j) to[j] = (from[j] - c[j]) * s[j] * f[j] + o[j];
                     }
                   });
 }
@@ -101,30 +106,34 @@ void channel_gradient(const T* x, const T* dy, int64_t rows, int64_t columns, co
     }
   });
   if (dx == nullptr) return;
-  // dx = a * dy - b * (x - mean) - c
-  std::vector<T> center(static_cast<size_t>(columns)), a(center.size()), b(center.size()), c(center.size());
+  // dx = factor * scale * (dy - b * scale * (x - mean) - c), whose factors stay apart as in apply_channels.
+  std::vector<T> center(static_cast<size_t>(columns)), scale(center.size()), factor(center.size()),
+      b(center.size()), c(center.size());
   for (int64_t j = 0; j < columns; ++j) {
     const auto k = static_cast<size_t>(j);
-    const double scale = inverse[j] * (weight != nullptr ? static_cast<double>(weight[j]) : 1.0);
     const auto n = static_cast<double>(rows);
     center[k] = static_cast<T>(mean[j]);
-    a[k] = static_cast<T>(scale);
-    b[k] = static_cast<T>(through_statistics ? scale * inverse[j] * sums[static_cast<size_t>(columns + j)] / n
-                                             : 0.0);
-    c[k] = static_cast<T>(through_statistics ? scale * sums[k] / n : 0.0);
+    scale[k] = static_cast<T>(inverse[j]);
+    factor[k] = weight != nullptr ? weight[j] : T(1);
+    b[k] = static_cast<T>(sums[static_cast<size_t>(columns + j)] / n);
+    // What rounding the mean to T lost goes into the constant.
+    c[k] = static_cast<T>(sums[k] / n + static_cast<double>(b[k]) *
+                                            (static_cast<double>(center[k]) - mean[j]) * inverse[j]);
   }
-  parallel_blocks(rows, std::max<int64_t>(1, 32768 / std::max<int64_t>(columns, 1)),
-                  [&](int64_t begin, int64_t end) {
-                    for (int64_t row = begin; row < end; ++row) {
-                      const T* const v = x + row * columns;
-                      const T* const g = dy + row * columns;
-                      T* const to = dx + row * columns;
-                      for (int64_t j = 0; j < columns; ++j) {
-                        const auto k = static_cast<size_t>(j);
-                        to[j] = a[k] * g[j] - b[k] * (v[j] - center[k]) - c[k];
-                      }
-                    }
-                  });
+  parallel_blocks(
+      rows, std::max<int64_t>(1, 32768 / std::max<int64_t>(columns, 1)), [&](int64_t begin, int64_t end) {
+        for (int64_t row = begin; row < end; ++row) {
+          const T* const v = x + row * columns;
+          const T* const g = dy + row * columns;
+          T* const to = dx + row * columns;
+          for (int64_t j = 0; j < columns; ++j) {
+            const auto k = static_cast<size_t>(j);
+            // Constant statistics have no gradient, whatever x is: 0 * NaN would be one.
+            const T through = through_statistics ? b[k] * ((v[j] - center[k]) * scale[k]) + c[k] : T{};
+            to[j] = (g[j] - through) * scale[k] * factor[k];
+          }
+        }
+      });
 }
 
 template <class T>
