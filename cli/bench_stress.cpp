@@ -6,14 +6,13 @@
 
 #include "cli/bench.h"
 #include "core/check/stress.h"
-#include "core/error.h"
 #include "core/parallel.h"
 
 namespace opaline::cli {
 namespace {
 
 struct Arguments {
-  std::string numerics = "balanced";
+  std::string numerics{to_string(current_numerics())};
   std::filesystem::path folder;
   bool json = false;
 };
@@ -42,14 +41,11 @@ void print_json(const std::vector<check::StressSummary>& summaries, Numerics num
 }
 
 void run_bench_stress(const Arguments& arguments) {
-  const std::optional<Numerics> numerics = parse_numerics(arguments.numerics);
-  if (!numerics) {
-    fail_usage("bench stress", "--numerics is '{}', expected strict, balanced or fast", arguments.numerics);
-  }
+  const Numerics numerics = *parse_numerics(arguments.numerics);
   const ThreadsGuard one_thread(1);
-  const auto summaries = arguments.folder.empty() ? check::run_stress(*numerics)
-                                                  : check::export_stress(*numerics, arguments.folder);
-  arguments.json ? print_json(summaries, *numerics) : print_table(summaries);
+  const auto summaries = arguments.folder.empty() ? check::run_stress(numerics)
+                                                  : check::export_stress(numerics, arguments.folder);
+  arguments.json ? print_json(summaries, numerics) : print_table(summaries);
 }
 
 }  // namespace
@@ -63,7 +59,9 @@ void add_bench_stress(CLI::App& bench) {
                                            "NaN and infinities. Errors are relative\n"
                                            "(docs/numerics.md says to what); 'inf' is a number where none "
                                            "should be, or none where one should be.");
-  command->add_option("--numerics", arguments->numerics, "strict, balanced or fast")->capture_default_str();
+  command->add_option("--numerics", arguments->numerics, "Speed or rounding error")
+      ->check(CLI::IsMember({"strict", "balanced", "fast"}))
+      ->capture_default_str();
   command->add_flag("--json", arguments->json, "Print one JSON object");
   command->add_option("--export", arguments->folder,
                       "Also write inputs and float64 results here, for scripts/parity/stress.py");

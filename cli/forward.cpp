@@ -5,6 +5,7 @@
 
 #include "cli/commands.h"
 #include "core/autograd.h"
+#include "core/numerics.h"
 #include "core/ops/shape.h"
 #include "core/safetensors.h"
 #include "models/network.h"
@@ -18,6 +19,7 @@ struct ForwardArguments {
   std::filesystem::path weights, input, output;
   std::string mode = "eval";
   std::string dtype = "float32";
+  std::string numerics{to_string(current_numerics())};
   std::filesystem::path config;
   std::string variant = "release";
   NetworkOptions options;  // where there is no config
@@ -55,6 +57,7 @@ NetworkOptions network_options(const ForwardArguments& arguments) {
 
 void run_forward(const ForwardArguments& arguments) {
   const NetworkOptions options = network_options(arguments);
+  const NumericsGuard numerics(*parse_numerics(arguments.numerics));
   const bool training = arguments.mode == "train";
   const std::string input_file = arguments.input.string();
 
@@ -116,6 +119,9 @@ void add_forward(CLI::App& app, Outcome&) {
                     "Also the gradient of sum(y * cotangent), as 'grad.x' and 'grad.<parameter>'");
   command->add_option("--dtype", arguments->dtype, "Type of weights, arithmetic and results")
       ->check(CLI::IsMember({"float32", "float64"}))
+      ->capture_default_str();
+  command->add_option("--numerics", arguments->numerics, "Speed or rounding error (docs/numerics.md)")
+      ->check(CLI::IsMember({"strict", "balanced", "fast"}))
       ->capture_default_str();
   CLI::Option* config = command->add_option("--config", arguments->config,
                                             "Training config that gives variant, sizes and channels");

@@ -26,24 +26,21 @@ const std::map<Numerics, double> kNumerics = {
 struct Input {
   std::string name;
   std::function<double(double)> of_pattern;  ///< element by element, from numbers in (-1, 1)
-  double bound;                              ///< of the output's error; of the gradients' it is kGradient
-  /// In training, variances are next to nothing and every normalisation multiplies gradients by up to 316,
-  /// also those that are zero but for rounding: all that can be asked of a parameter's is to be a number.
-  bool degenerate = false;
+  double output_bound;                       ///< of relative errors
+  double gradient_bound = 3e-2;  ///< a ReLU or a maximum that chooses differently decides, not the arithmetic
 };
-
-// A ReLU or a maximum that chooses differently decides this, not the arithmetic.
-constexpr double kGradient = 3e-2;
 
 const std::vector<Input>& inputs() {
   static const std::vector<Input> list = {
       {"pattern", [](double v) { return v; }, 1e-5},
-      {"tiny", [](double v) { return 1e-30 * v; }, 1e-5, true},
+      {"tiny", [](double v) { return 1e-30 * v; }, 1e-5},
       {"huge", [](double v) { return 1e30 * v; }, 1e-5},
-      {"denormal", [](double v) { return 1e-40 * v; }, 1e-5, true},
-      {"constant", [](double) { return 0.7; }, 1e-5, true},
-      {"zeros", [](double v) { return v < 0.0 ? -0.0 : 0.0; }, 1e-5, true},
-      {"offset", [](double v) { return 1e3 + v; }, 1e-2, true},
+      {"denormal", [](double v) { return 1e-40 * v; }, 1e-5},
+      {"constant", [](double) { return 0.7; }, 1e-5},
+      {"zeros", [](double v) { return v < 0.0 ? -0.0 : 0.0; }, 1e-5},
+      // A convolution's result has the offset too, and its rounding: what a norm leaves has lost three
+      // digits.
+      {"offset", [](double v) { return 1e3 + v; }, 1e-2, 0.8},
   };
   return list;
 }
@@ -90,26 +87,16 @@ double error(const Tensor& a, const Tensor& b, double floor = 0.0) {
   return std::isfinite(squares) ? std::sqrt(squares) / std::max({norm(b), floor, smallest}) : std::nan("");
 }
 
-bool finite(const Tensor& tensor) {
-  return std::isfinite(norm(tensor));
-}
-
-void check_near(const Pass& narrow, const Pass& wide, const Input& input, bool training, double bound) {
-  CHECK(error(narrow.y, wide.y) <= bound);
-  // A gradient that is zero in exact arithmetic (of a bias before a norm) is measured by the others.
+void check_near(const Pass& narrow, const Pass& wide, const Input& input, double factor) {
+  CHECK(error(narrow.y, wide.y) <= factor * input.output_bound);
+  // A gradient that is zero in exact arithmetic (of a bias before a norm, of weights of a constant image) is
+  // measured by the largest.
   double largest = 0.0;
-  for (const auto& [key, gradient] : wide.gradients) {
-    if (key != "x") largest = std::max(largest, norm(gradient));
-  }
+  for (const auto& [key, gradient] : wide.gradients) largest = std::max(largest, norm(gradient));
   for (const auto& [key, gradient] : wide.gradients) {
     INFO(key);
-    if (training && input.degenerate) {
-      CHECK(finite(narrow.gradients.at(key)));
-    } else if (key == "x") {
-      CHECK(error(narrow.gradients.at(key), gradient) <= kGradient);
-    } else {
-      CHECK(error(narrow.gradients.at(key), gradient, 1e-3 * largest) <= kGradient);
-    }
+    const double floor = key == "x" ? 0.0 : 1e-3 * largest;
+    CHECK(error(narrow.gradients.at(key), gradient, floor) <= input.gradient_bound);
   }
 }
 
@@ -125,7 +112,7 @@ TEST_CASE("networks in float32 are near float64 under stress") {
         for (const auto& [numerics, factor] : kNumerics) {
           const NumericsGuard guard(numerics);
           INFO(name << (training ? " train " : " eval ") << input.name << " " << to_string(numerics));
-          check_near(run(name, training, x, DType::kFloat32), wide, input, training, factor * input.bound);
+          check_near(run(name, training, x, DType::kFloat32), wide, input, factor);
         }
       }
     }
