@@ -1,4 +1,5 @@
 // Every operation on inputs that float32 finds hard (core/check/stress.h), against float64.
+#include <algorithm>
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <limits>
@@ -96,6 +97,42 @@ Array array(std::vector<double> values) {
   return result;
 }
 
+TEST_CASE("an operation that nothing says how to measure is refused") {
+  OpCase unknown = op_cases().front();
+  unknown.name = "nothing/plain";
+  CHECK_THROWS_WITH(StressCase(unknown, stress_regimes().front()), Catch::Contains("[nothing]"));
+}
+
+const Regime& regime_called(const std::string& name) {
+  return *std::ranges::find(stress_regimes(), name, &Regime::name);
+}
+
+TEST_CASE("regimes are what they are called") {
+  const OpCase& plain = *std::ranges::find(op_cases(), "mul/same", &OpCase::name);
+  const auto values = [&](const std::string& name, size_t input = 0) {
+    return Array(make_inputs(stressed(plain, regime_called(name)), DType::kFloat32)[input]).values;
+  };
+  const auto count = [&](const std::string& name, const std::function<bool(double)>& is) {
+    return std::ranges::count_if(values(name), is);
+  };
+  const auto all = static_cast<std::ptrdiff_t>(values("normal").size());
+  constexpr double kSmallest = std::numeric_limits<float>::min();
+  CHECK(count("nan", [](double v) { return std::isnan(v); }) == 1);
+  CHECK(count("infinity", [](double v) { return v == kInfinity; }) == 1);
+  CHECK(count("minus_infinity", [](double v) { return v == -kInfinity; }) == 1);
+  CHECK(count("denormal", [](double v) { return std::abs(v) < kSmallest; }) == all);
+  CHECK(count("denormal", [](double v) { return v != 0.0; }) > all / 2);
+  CHECK(count("zeros", [](double v) { return v == 0.0 && std::signbit(v); }) > 0);
+  CHECK(count("zeros", [](double v) { return v == 0.0 && !std::signbit(v); }) > 0);
+  CHECK(count("offset", [](double v) { return std::abs(v - 1e4) < 10.0; }) == all);
+  CHECK(count("wide", [](double v) { return std::abs(v) < 1e-15; }) > 0);
+  CHECK(count("wide", [](double v) { return std::abs(v) > 1e15; }) > 0);
+  CHECK(largest_magnitude(array(values("huge"))) > 1e29);
+  CHECK(largest_magnitude(array(values("huge_by_tiny", 1))) < 1e-28);
+  CHECK(largest_magnitude(Array(
+            make_cotangent(stressed(plain, regime_called("gradient_tiny")), {9}, DType::kFloat32))) < 1e-37);
+}
+
 double error(const Expected& expected, std::vector<double> actual) {
   const StressError found = expected.error(array(std::move(actual)));
   return found.lost ? -1.0 : found.value;
@@ -129,8 +166,7 @@ StressErrors errors_of_square(const std::string& regime, const std::function<flo
     for (int64_t i = 0; i < y.numel(); ++i) y.data<float>()[i] = square(in[0].data<float>()[i]);
     return y;
   };
-  return StressCase(op_case, *std::ranges::find(stress_regimes(), regime, &Regime::name))
-      .run(Numerics::kStrict);
+  return StressCase(op_case, regime_called(regime)).run(Numerics::kStrict);
 }
 
 TEST_CASE("the suite sees a wrong operation") {
