@@ -11,6 +11,7 @@ void add_bench(CLI::App& app, Outcome&) {
   add_bench_conv(*bench);
   add_bench_layers(*bench);
   add_bench_step(*bench);
+  add_bench_stress(*bench);
   add_bench_render(*bench);
   add_bench_noise(*bench);
 }

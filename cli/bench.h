@@ -10,5 +10,6 @@ void add_bench_layers(CLI::App& bench);
 void add_bench_noise(CLI::App& bench);
 void add_bench_render(CLI::App& bench);
 void add_bench_step(CLI::App& bench);
+void add_bench_stress(CLI::App& bench);
 
 }  // namespace opaline::cli

@@ -25,7 +25,7 @@ python3 scripts/check_layers.py
 
 if ! $quick; then
   # The engine, the parsers and the renderer under address and undefined-behaviour checks, without the tests that
-  # need many paths; what shares data between threads under the thread checker. OpenMP's runtime is not built for
+  # need many paths or minutes; what shares data between threads under the thread checker. OpenMP's runtime is not built for
   # the latter, so only std::thread code runs there.
   step "address and undefined behaviour"
   cmake --preset asan >/dev/null
@@ -33,7 +33,7 @@ if ! $quick; then
   cmake --build --preset asan --target "${programs[@]}"
   for program in "${programs[@]}"; do
     echo "$program"
-    UBSAN_OPTIONS=print_stacktrace=1 OMP_WAIT_POLICY=passive timeout 900 "build/asan/$program" '~[statistics]'
+    UBSAN_OPTIONS=print_stacktrace=1 OMP_WAIT_POLICY=passive timeout 900 "build/asan/$program" '~[statistics]~[long]'
   done
 
   step "threads"
@@ -47,4 +47,4 @@ cmake --preset release >/dev/null
 cmake --build --preset release
 
 step "tests"
-ctest --test-dir build/release --output-on-failure
+ctest --test-dir build/release -LE long --output-on-failure

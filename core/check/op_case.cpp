@@ -108,7 +108,23 @@ std::vector<Tensor> make_inputs(const OpCase& op_case, DType dtype) {
 }
 
 Tensor make_cotangent(const OpCase& op_case, const Shape& shape, DType dtype) {
-  return draw(op_case, fill::normal(), shape, static_cast<uint32_t>(op_case.inputs.size()), dtype);
+  return draw(op_case, op_case.cotangent, shape, static_cast<uint32_t>(op_case.inputs.size()), dtype);
+}
+
+std::string describe(const OpCase& op_case) {
+  nlohmann::json description = {{"options", nlohmann::json::object()},
+                                {"inputs", nlohmann::json::array()},
+                                {"differentiable", nlohmann::json::array()},
+                                {"updated", nlohmann::json::array()}};
+  for (const auto& [key, value] : op_case.options) {
+    description["options"][key] = nlohmann::json::parse(value);
+  }
+  for (const InputSpec& spec : op_case.inputs) {
+    description["inputs"].push_back(spec.name);
+    if (spec.differentiable) description["differentiable"].push_back(spec.name);
+    if (spec.updated) description["updated"].push_back(spec.name);
+  }
+  return description.dump();
 }
 
 void write_case_inputs(const std::filesystem::path& path) {
@@ -116,24 +132,13 @@ void write_case_inputs(const std::filesystem::path& path) {
   std::map<std::string, std::string> metadata;
   const NoGradGuard no_grad;
   for (const OpCase& op_case : op_cases()) {
-    nlohmann::json description = {{"options", nlohmann::json::object()},
-                                  {"inputs", nlohmann::json::array()},
-                                  {"differentiable", nlohmann::json::array()},
-                                  {"updated", nlohmann::json::array()}};
-    for (const auto& [key, value] : op_case.options) {
-      description["options"][key] = nlohmann::json::parse(value);
-    }
     const std::vector<Tensor> inputs = make_inputs(op_case, DType::kFloat32);
     for (size_t i = 0; i < inputs.size(); ++i) {
-      const InputSpec& spec = op_case.inputs[i];
-      description["inputs"].push_back(spec.name);
-      if (spec.differentiable) description["differentiable"].push_back(spec.name);
-      if (spec.updated) description["updated"].push_back(spec.name);
-      tensors[op_case.name + "/" + spec.name] = inputs[i].clone();
+      tensors[op_case.name + "/" + op_case.inputs[i].name] = inputs[i].clone();
     }
     const Shape shape = op_case.forward(inputs).shape();
     tensors[op_case.name + "/cotangent"] = make_cotangent(op_case, shape, DType::kFloat32);
-    metadata[op_case.name] = description.dump();
+    metadata[op_case.name] = describe(op_case);
   }
   save_safetensors(path, tensors, metadata);
 }

@@ -71,6 +71,7 @@ struct OpCase {
   /// Whether difference quotients make sense: not at a kink, nor with infinities.
   bool smooth = true;
   Tolerances tolerances = {};
+  Fill cotangent = fill::normal();  ///< what the result is multiplied by before it is summed
 
   std::string_view operation() const { return std::string_view(name).substr(0, name.find('/')); }
   std::string_view variant() const { return std::string_view(name).substr(name.find('/') + 1); }
@@ -84,10 +85,12 @@ std::vector<OpCase> large_op_cases(int64_t side = 256);
 /// The case's inputs. Values are representable in float32, so all types see the same numbers; they depend on
 /// the case's name alone. Differentiable inputs require a gradient.
 std::vector<Tensor> make_inputs(const OpCase& op_case, DType dtype);
-/// What a result of this shape is multiplied by before it is summed; drawn in the same way.
+/// The cotangent of a result of this shape; drawn in the same way.
 Tensor make_cotangent(const OpCase& op_case, const Shape& shape, DType dtype);
 
-/// Writes inputs, cotangents and options of all cases: what scripts/golden/ops.py reads.
+/// A case's options and the names of its inputs (all, differentiable, updated) as JSON.
+std::string describe(const OpCase& op_case);
+/// Writes inputs, cotangents and descriptions of all cases: what scripts/golden/ops.py reads.
 void write_case_inputs(const std::filesystem::path& path);
 
 // One function a family; those of one cases_*.cpp file stand together.

@@ -25,12 +25,12 @@ double gelu(double x) {
 }
 
 double tanh(double x) {
-  const double e = std::exp(-2.0 * std::abs(x));
-  return std::copysign(1.0, x) * (1.0 - e) / (1.0 + e);
+  const double below = std::expm1(-2.0 * std::abs(x));  // exp(..) - 1 without losing the digits of a small x
+  return std::copysign(1.0, x) * -below / (2.0 + below);
 }
 
 double sigmoid(double x) {
-  return 0.5 * (1.0 + tanh(0.5 * x));
+  return 1.0 / (1.0 + std::exp(-x));
 }
 
 double safe_sqrt(double x) {

@@ -89,6 +89,12 @@ HWY_ATTR void column_sums(const T* x, int64_t rows, int64_t columns, double* sum
   }
 }
 
+/// (x - center) * scale * factor + offset, from x - center: the same bits wherever it is needed.
+template <class At, class V, class T>
+HWY_INLINE V mapped(const At& at, V centred, int64_t j, const ChannelMap<T>& map) {
+  return hn::MulAdd(hn::Mul(centred, at.load(map.scale, j)), at.load(map.factor, j), at.load(map.offset, j));
+}
+
 template <class T>
 HWY_ATTR void apply(const T* x, int64_t rows, int64_t columns, const ChannelMap<T>& map, T* y) {
   const hn::ScalableTag<T> d;
@@ -97,8 +103,7 @@ HWY_ATTR void apply(const T* x, int64_t rows, int64_t columns, const ChannelMap<
   const auto zero = hn::Zero(d);
   for (int64_t row = 0; row < rows; ++row, x += columns, y += columns) {
     for (int64_t j = 0; j < columns; j += lanes) {
-      const auto v = hn::MulAdd(hn::Sub(at.load(x, j), at.load(map.center, j)), at.load(map.scale, j),
-                                at.load(map.offset, j));
+      const auto v = mapped(at, hn::Sub(at.load(x, j), at.load(map.center, j)), j, map);
       at.store(map.relu ? hn::IfThenZeroElse(hn::Lt(v, zero), v) : v, y, j);  // NaN passes
     }
   }
@@ -106,11 +111,10 @@ HWY_ATTR void apply(const T* x, int64_t rows, int64_t columns, const ChannelMap<
 
 /// dy where the rectifier lets it through.
 template <class D, class V, class At, class T>
-HWY_INLINE V passed(D d, const At& at, V x, const T* dy, int64_t j, const ChannelMap<T>& map) {
+HWY_INLINE V passed(D d, const At& at, V centred, const T* dy, int64_t j, const ChannelMap<T>& map) {
   const auto g = at.load(dy, j);
   if (!map.relu) return g;
-  const auto y = hn::MulAdd(x, at.load(map.scale, j), at.load(map.offset, j));
-  return hn::IfThenZeroElse(hn::Le(y, hn::Zero(d)), g);
+  return hn::IfThenZeroElse(hn::Le(mapped(at, centred, j, map), hn::Zero(d)), g);
 }
 
 template <class T>
@@ -132,16 +136,19 @@ HWY_ATTR void gradient_sums(const T* x, const T* dy, int64_t rows, int64_t colum
 
 template <class T>
 HWY_ATTR void gradient(const T* x, const T* dy, int64_t rows, int64_t columns, const ChannelMap<T>& map,
-                       const T* a, const T* b, const T* c, T* dx) {
+                       const T* b, const T* c, T* dx) {
   const hn::ScalableTag<T> d;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
   const Columns<decltype(d)> at(d, columns);
   for (int64_t row = 0; row < rows; ++row, x += columns, dy += columns, dx += columns) {
     for (int64_t j = 0; j < columns; j += lanes) {
       const auto v = hn::Sub(at.load(x, j), at.load(map.center, j));
-      const auto g = passed(d, at, v, dy, j, map);
-      const auto rest = hn::MulAdd(at.load(b, j), v, at.load(c, j));
-      at.store(hn::Mul(at.load(a, j), hn::Sub(g, rest)), dx, j);
+      auto g = passed(d, at, v, dy, j, map);
+      const auto scale = at.load(map.scale, j);
+      if (b != nullptr) {
+        g = hn::Sub(g, hn::MulAdd(at.load(b, j), hn::Mul(v, scale), at.load(c, j)));
+      }
+      at.store(hn::Mul(hn::Mul(g, scale), at.load(map.factor, j)), dx, j);
     }
   }
 }

@@ -8,11 +8,13 @@
 
 namespace opaline::kernels {
 
-/// y = (x - center) * scale + offset for each column; then, with `relu`, its positive part.
+/// y = (x - center) * scale * factor + offset for each column; then, with `relu`, its positive part. The two
+/// factors stay apart: their product underflows where values are huge and a weight is small.
 template <class T>
 struct ChannelMap {
   const T* center = nullptr;
   const T* scale = nullptr;
+  const T* factor = nullptr;
   const T* offset = nullptr;
   bool relu = false;
 };
@@ -30,9 +32,10 @@ struct NormKernels {
   /// center).
   void (*gradient_sums)(const T* x, const T* dy, int64_t rows, int64_t columns, const ChannelMap<T>& map,
                         double* sums) = nullptr;
-  /// dx = a * (g - b * (x - center) - c).
+  /// dx = factor * scale * (g - b * (x - center) * scale - c); where b and c are null factor * scale * g,
+  /// whatever x is.
   void (*gradient)(const T* x, const T* dy, int64_t rows, int64_t columns, const ChannelMap<T>& map,
-                   const T* a, const T* b, const T* c, T* dx) = nullptr;
+                   const T* b, const T* c, T* dx) = nullptr;
   /// sums[j] += x.
   void (*column_sums)(const T* x, int64_t rows, int64_t columns, double* sums) = nullptr;
 };

@@ -1,7 +1,6 @@
 #include "core/kernels/transformer.h"
 
 #include <cmath>
-#include <limits>
 #include <numbers>
 #include <type_traits>
 
@@ -145,14 +144,17 @@ HWY_INLINE V exponential(D d, V x) {
 template <class T>
 HWY_ATTR void softmax(const T* x, int64_t n, T scale, T* y) {
   const hn::ScalableTag<T> d;
+  // Scaled values go through memory: fused with the subtraction below they would not be rounded, and the
+  // largest would differ from itself.
   const auto s = hn::Set(d, scale);
-  T largest = x[0] * scale;
-  for (int64_t j = 1; j < n; ++j) largest = x[j] * scale > largest ? x[j] * scale : largest;
+  for_row(d, n, [&](const auto& load, const auto& store) HWY_ATTR { store(hn::Mul(load(x), s), y); });
+  T largest = y[0];
+  for (int64_t j = 1; j < n; ++j) largest = y[j] > largest ? y[j] : largest;
   const auto top = hn::Set(d, largest);
   double total = 0.0;
   if constexpr (std::is_same_v<T, double>) {
     for (int64_t j = 0; j < n; ++j) {
-      y[j] = std::exp(x[j] * scale - largest);
+      y[j] = std::exp(y[j] - largest);
       total += y[j];
     }
   } else {
@@ -160,7 +162,7 @@ HWY_ATTR void softmax(const T* x, int64_t n, T scale, T* y) {
     int64_t done = 0;
     const auto lanes = static_cast<int64_t>(hn::Lanes(d));
     for_row(d, n, [&](const auto& load, const auto& store) HWY_ATTR {
-      const auto e = exponential(d, hn::Sub(hn::Mul(load(x), s), top));
+      const auto e = exponential(d, hn::Sub(load(y), top));
       store(e, y);
       const auto inside = hn::FirstN(d, static_cast<size_t>(n - done < lanes ? n - done : lanes));
       sum = hn::Add(sum, hn::IfThenElseZero(inside, e));
@@ -208,13 +210,10 @@ HWY_ATTR void gelu(const T* x, int64_t n, T* y) {
     for (int64_t j = 0; j < n; ++j) y[j] = x[j] * 0.5 * std::erfc(-x[j] / std::numbers::sqrt2);
   } else {
     const hn::ScalableTag<T> d;
-    const auto zero = hn::Zero(d), lowest = hn::Set(d, -std::numeric_limits<T>::infinity());
     for_row(d, n, [&](const auto& load, const auto& store) HWY_ATTR {
       const auto v = load(x);
       const auto phi = hn::Mul(hn::Set(d, 0.5F), erfc(d, hn::Mul(v, hn::Set(d, -0.70710678118654752F))));
-      const auto result = hn::Mul(v, phi);
-      // As PyTorch: minus infinity times no probability is not a number.
-      store(hn::IfThenElse(hn::Eq(v, lowest), hn::Mul(v, zero), result), y);
+      store(hn::Mul(v, phi), y);  // NaN for minus infinity, as PyTorch's
     });
   }
 }
@@ -225,8 +224,7 @@ HWY_ATTR void gelu_gradient(const T* x, const T* dy, int64_t n, T* dx) {
     for (int64_t j = 0; j < n; ++j) {
       const double cdf = 0.5 * std::erfc(-x[j] / std::numbers::sqrt2);
       const double pdf = std::exp(-0.5 * x[j] * x[j]) * std::numbers::inv_sqrtpi / std::numbers::sqrt2;
-      // An infinite x has density zero, and zero times infinity would be NaN.
-      dx[j] = dy[j] * (pdf > 0.0 || std::isnan(pdf) ? cdf + x[j] * pdf : cdf);
+      dx[j] = dy[j] * (cdf + x[j] * pdf);  // NaN for an infinite x, as PyTorch's
     }
   } else {
     const hn::ScalableTag<T> d;
@@ -235,8 +233,7 @@ HWY_ATTR void gelu_gradient(const T* x, const T* dy, int64_t n, T* dx) {
       const auto cdf = hn::Mul(hn::Set(d, 0.5F), erfc(d, hn::Mul(v, hn::Set(d, -0.70710678118654752F))));
       const auto pdf = hn::Mul(hn::Set(d, 0.39894228040143268F),
                                exponential(d, hn::Mul(hn::Mul(v, v), hn::Set(d, -0.5F))));
-      const auto none = hn::Eq(pdf, hn::Zero(d));
-      store(hn::Mul(load(dy), hn::IfThenElse(none, cdf, hn::MulAdd(v, pdf, cdf))), dx);
+      store(hn::Mul(load(dy), hn::MulAdd(v, pdf, cdf)), dx);
     });
   }
 }

@@ -127,9 +127,10 @@ Tensor div(const Tensor& a, const Tensor& b) {
   return record(
       "div", c, {a, b},
       [c = c.detach(), b = b.detach(), shape = a.shape()](const Tensor& dc, std::span<const char> needs) {
-        const Tensor da = div(dc, b);
-        return std::vector<Tensor>{needs[0] ? reduce_to(da, shape) : Tensor(),
-                                   needs[1] ? reduce_to(affine(mul(da, c), -1.0), b.shape()) : Tensor()};
+        // c / b first, as PyTorch: dc / b may overflow where the product does not, and be NaN for c = 0.
+        return std::vector<Tensor>{
+            needs[0] ? reduce_to(div(dc, b), shape) : Tensor(),
+            needs[1] ? reduce_to(affine(mul(dc, div(c, b)), -1.0), b.shape()) : Tensor()};
       });
 }
 

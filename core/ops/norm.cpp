@@ -56,22 +56,26 @@ class ChannelNorm {
     }
   }
 
-  /// The coefficients of y = (x - center) * scale + offset. `weight` and `bias` may be null.
+  /// The coefficients of y = (x - center) * scale * factor + offset. `weight` and `bias` may be null.
   template <class T>
   void prepare(double eps, const T* weight, const T* bias) {
-    coefficients_ = Tensor({3, groups_ * columns_}, dtype_of<T>());
+    const int64_t count = groups_ * columns_;
+    coefficients_ = Tensor({4, count}, dtype_of<T>());
     T* const center = coefficients_.data<T>();
-    T* const scale = center + groups_ * columns_;
-    T* const offset = scale + groups_ * columns_;
-    for (int64_t i = 0; i < groups_ * columns_; ++i) {
+    T* const scale = center + count;
+    T* const factor = scale + count;
+    T* const offset = factor + count;
+    for (int64_t i = 0; i < count; ++i) {
       double& inverse = inverse_[static_cast<size_t>(i)];
       inverse = 1.0 / std::sqrt(inverse + eps);
       const int64_t j = i % columns_;
       center[i] = static_cast<T>(mean(i));
-      scale[i] = static_cast<T>(inverse * (weight != nullptr ? static_cast<double>(weight[j]) : 1.0));
+      scale[i] = static_cast<T>(inverse);
+      factor[i] = weight != nullptr ? weight[j] : T(1);
       // What rounding the mean to T lost goes into the offset.
       offset[i] = static_cast<T>((bias != nullptr ? static_cast<double>(bias[j]) : 0.0) +
-                                 (static_cast<double>(center[i]) - mean(i)) * static_cast<double>(scale[i]));
+                                 (static_cast<double>(center[i]) - mean(i)) * inverse *
+                                     static_cast<double>(factor[i]));
     }
   }
 
@@ -89,14 +93,14 @@ class ChannelNorm {
   /// rectifier passes: dx = weight * inverse * (g - mean(g) - xhat * mean(g * xhat)), without the means where
   /// the statistics were constants (`through_statistics` false).
   std::vector<Tensor> gradients(const Tensor& x, const Tensor& dy, std::span<const char> needs,
-                                const Tensor& weight, bool through_statistics) const {
+                                bool through_statistics) const {
     std::vector<Tensor> grads(3);
     dispatch_floating(operation_, x.dtype(), [&]<class T>() {
       const kernels::NormKernels<T>& k = kernels::norm_kernels<T>();
       std::vector<double> total_weight(static_cast<size_t>(columns_), 0.0),
           total_bias(total_weight.size(), 0.0);
-      // dx = a * (g - b * (x - center) - c): of a single value exactly 0
-      std::vector<T> a(mean_.size()), b(mean_.size()), c(mean_.size());
+      std::vector<T> b(mean_.size()),
+          c(mean_.size());  // means of g * xhat and of g: of a single value exactly g
       for (int64_t group = 0; group < groups_; ++group) {
         const int64_t at = group * rows_ * columns_;
         const std::vector<double> sums = sum_rows<T>(2, [&](int64_t first, int64_t count, double* to) {
@@ -107,16 +111,13 @@ class ChannelNorm {
         for (int64_t j = 0; j < columns_; ++j) {
           const auto i = static_cast<size_t>(group * columns_ + j);
           const double sum = sums[static_cast<size_t>(j)];
+          // What rounding the mean to T lost.
           const double shift = static_cast<double>(coefficients_.data<T>()[i]) - mean_[i];
           const double product = (sums[sums.size() / 2 + static_cast<size_t>(j)] + shift * sum) * inverse_[i];
           total_weight[static_cast<size_t>(j)] += product;
           total_bias[static_cast<size_t>(j)] += sum;
-          const double scale =
-              inverse_[i] * (weight.defined() ? static_cast<double>(weight.data<T>()[j]) : 1.0);
-          const double slope = through_statistics ? inverse_[i] * product / n : 0.0;
-          a[i] = static_cast<T>(scale);
-          b[i] = static_cast<T>(slope);
-          c[i] = static_cast<T>((through_statistics ? sum / n : 0.0) + slope * shift);
+          b[i] = static_cast<T>(product / n);
+          c[i] = static_cast<T>(sum / n + product / n * shift * inverse_[i]);
         }
       }
       if (needs[1]) grads[1] = to_tensor<T>(total_weight);
@@ -125,8 +126,9 @@ class ChannelNorm {
       grads[0] = Tensor(x.shape(), x.dtype());
       for_blocks<T>([&](int64_t group, int64_t at, int64_t count) {
         const auto i = static_cast<size_t>(group * columns_);
-        k.gradient(x.data<T>() + at, dy.data<T>() + at, count, columns_, map<T>(group), a.data() + i,
-                   b.data() + i, c.data() + i, grads[0].data<T>() + at);
+        k.gradient(x.data<T>() + at, dy.data<T>() + at, count, columns_, map<T>(group),
+                   through_statistics ? b.data() + i : nullptr, through_statistics ? c.data() + i : nullptr,
+                   grads[0].data<T>() + at);
       });
     });
     return grads;
@@ -135,8 +137,9 @@ class ChannelNorm {
  private:
   template <class T>
   kernels::ChannelMap<T> map(int64_t group) const {
+    const int64_t count = groups_ * columns_;
     const T* const center = coefficients_.data<T>() + group * columns_;
-    return {center, center + groups_ * columns_, center + 2 * groups_ * columns_, relu_};
+    return {center, center + count, center + 2 * count, center + 3 * count, relu_};
   }
 
   /// `terms` padded arrays of sums over the rows of a group: blocks of rows, joined in order.
@@ -180,7 +183,7 @@ class ChannelNorm {
   int64_t groups_, rows_, columns_;
   bool relu_;
   std::vector<double> mean_, inverse_;
-  Tensor coefficients_;  // 3 x (groups * columns): center, scale, offset
+  Tensor coefficients_;  // 4 x (groups * columns): center, scale, factor, offset
 };
 
 /// y = norm(x), with its place in the graph.
@@ -191,9 +194,8 @@ Tensor finish(std::string_view operation, const std::shared_ptr<const ChannelNor
   const Tensor kept = x.saved();
   return record(
       operation, y, {x, weight, bias},
-      [norm, kept, weight = weight.defined() ? weight.detach() : Tensor(), through_statistics](
-          const Tensor& dy, std::span<const char> needs) {
-        return norm->gradients(kept.restored(), dy, needs, weight, through_statistics);
+      [norm, kept, through_statistics](const Tensor& dy, std::span<const char> needs) {
+        return norm->gradients(kept.restored(), dy, needs, through_statistics);
       },
       [norm, kept] { return norm->apply(kept.restored()); });
 }

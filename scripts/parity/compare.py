@@ -78,14 +78,14 @@ def run_torch(model, x, cotangent, dtype):
     return result
 
 
-def run_opaline(arguments, name, mode, dtype, folder):
+def run_opaline(arguments, name, mode, dtype, folder, more=()):
     command = [arguments.opaline, "forward", name, "--grad", "--mode", mode, "--dtype", dtype,
                "--weights", str(folder / "weights.safetensors"),
                "--input", str(folder / "input.safetensors"),
                "--output", str(folder / "output.safetensors"),
                "--size", str(arguments.size), "--width", str(arguments.width),
                "--variant", arguments.variant, "--channels", str(networks.sizes(arguments.variant)[0])]
-    subprocess.run(command, check=True)
+    subprocess.run(command + list(more), check=True)
     return safetensors_io.load(folder / "output.safetensors")
 
 

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Writes tests/models/golden/<network>.safetensors, what PyTorch gives for small networks in float64, and
-tests/nn/golden/adam_steps.safetensors, ten steps of its Adam.
+"""Writes tests/models/golden/<network>.safetensors, what PyTorch gives for small networks in float64, non_finite
+beside them, what becomes of a NaN, and tests/nn/golden/adam_steps.safetensors and adam_extremes.safetensors, steps of its Adam.
 
 Weights, inputs and cotangents come from an integer hash (pattern below, also in nn/pattern.h), so
 the files hold results only: for every tensor its norm and three projections on hashed vectors, and a sample
@@ -84,6 +84,23 @@ def results(name, mode):
     return {f"{mode}.{key}": value for key, value in found.items()}
 
 
+def non_finite(name, mode, value):
+    """How many numbers are not finite where one value of the second input is not: in the output, the input's gradient
+    and each parameter's."""
+    model = networks.make(name, WIDTH[name], BUILD_SIZE).double()
+    set_state(model)
+    model.train(mode == "train")
+    batch = 2 if name in ("normal", "depth", "reconstruction") else 8
+    shape = networks.input_shape(name, batch, BUILD_SIZE)
+    x = pattern(shape, INPUT)
+    x[(1, 1, BUILD_SIZE // 2, BUILD_SIZE // 2)[:x.ndim]] = value
+    x = torch.from_numpy(x).requires_grad_(True)
+    y = model(x)
+    (y * torch.from_numpy(pattern(tuple(y.shape), COTANGENT))).sum().backward()
+    tensors = [y, x.grad] + [p.grad for p in model.parameters()]
+    return np.array([int((~torch.isfinite(t)).sum()) for t in tensors], dtype=np.int64)
+
+
 def adam_steps(dtype):
     """Three parameters through ten steps at a falling rate; the last has no gradient in steps 3 to 5."""
     shapes = {"a": (7, 5), "b": (3, 2, 3, 3), "c": (11,)}
@@ -108,16 +125,45 @@ def adam_steps(dtype):
     return found
 
 
+# A column an element, a row a step. From zero: a step of 1e-32 shows.
+EXTREME_GRADIENTS = np.array([
+    [0.0, -0.0, 1e-45, 1e-38, -1e-38, 1e-30, 1e-20, 1e-8, 1.0, 1e10, 1e18, 1e20, 1e30, -1e30, 3e38, 1e30],
+    [0.0, 0.0, 1e-45, 1e-38, 1e-38, 1e-30, 1e-20, 1e-8, -1.0, 1e10, 1e19, 1e20, 1e30, 1e30, 3e38, 1.0],
+    [0.0, 1.0, 0.0, 1.0, 1e-38, 1e30, -1e-20, 1e-12, 1e-30, 1e-10, 0.0, 1e-20, 1e-30, 0.0, -3e38, 1.0],
+    [0.0, -0.0, 1e-45, 1e-38, -1e-38, 1e-30, 1e-20, 1e-8, 1.0, 1e10, 1e18, 0.0, 1e30, -1e30, 0.0, 1.0],
+])
+
+
+def adam_extremes(dtype):
+    """Adam under gradients of 0, 1e-45 to 3e38 and changes between them."""
+    parameter = torch.nn.Parameter(torch.zeros(EXTREME_GRADIENTS.shape[1], dtype=dtype))
+    optimizer = torch.optim.Adam([parameter], lr=2e-4, betas=(0.5, 0.999), eps=1e-8)
+    found = {}
+    for step, gradient in enumerate(EXTREME_GRADIENTS):
+        parameter.grad = torch.from_numpy(gradient.astype(np.float32)).to(dtype)
+        optimizer.step()
+        state = optimizer.state[parameter]
+        for name, tensor in (("p", parameter), ("exp_avg", state["exp_avg"]), ("exp_avg_sq", state["exp_avg_sq"])):
+            found[f"{step}.{name}"] = tensor.detach().numpy().copy()
+    return found
+
+
 def main():
     torch.set_num_threads(1)
     models = ROOT / "tests" / "models" / "golden"
     for name in networks.NAMES:
         safetensors_io.save(models / f"{name}.safetensors", results(name, "train") | results(name, "eval"))
+    safetensors_io.save(models / "non_finite.safetensors", {
+        f"{name}.{mode}.{kind}": non_finite(name, mode, value) for name in networks.NAMES
+        for mode in ("train", "eval") for kind, value in (("nan", math.nan), ("infinity", math.inf))})
     nn = ROOT / "tests" / "nn" / "golden"
     nn.mkdir(exist_ok=True)
     found = {f"{key}.{name}": value for key, dtype in (("float64", torch.float64), ("float32", torch.float32))
              for name, value in adam_steps(dtype).items()}
     safetensors_io.save(nn / "adam_steps.safetensors", found)
+    found = {f"{key}.{name}": value for key, dtype in (("float64", torch.float64), ("float32", torch.float32))
+             for name, value in adam_extremes(dtype).items()}
+    safetensors_io.save(nn / "adam_extremes.safetensors", found | {"gradients": EXTREME_GRADIENTS})
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# `opaline bench render`: the table, the JSON object, the chart, the exported scenes, bad usage.
+# `opaline bench`: tables, JSON objects, the chart, what is exported, bad usage.
 set -euo pipefail
 opaline=$1
 folder=$(mktemp -d)
@@ -63,3 +63,22 @@ few, many = (json.loads((pathlib.Path(sys.argv[1]) / f"noise{spp}.json").read_te
 assert len(few["scenes"]) == 2 and few["scenes"][0]["pixels"] > 0, few
 assert 0 < many["error"] < 0.7 * few["error"], (few["error"], many["error"])
 PYTHON
+
+"$opaline" bench stress --export "$folder/stress" > "$folder/stress.txt"
+expect "$folder/stress.txt" '^| conv2d .*|'
+"$opaline" bench stress --numerics strict --json > "$folder/stress.json"
+python3 - "$folder" <<'PYTHON'
+import json, pathlib, struct, sys
+folder = pathlib.Path(sys.argv[1])
+report = json.loads((folder / "stress.json").read_text())
+assert report["numerics"] == "strict" and 0 < report["operations"]["conv2d"]["forward"] < 1e-5, report
+assert {path.stem for path in (folder / "stress").iterdir()} == set(report["operations"]), report
+data = (folder / "stress" / "relu.safetensors").read_bytes()
+header = json.loads(data[8:8 + struct.unpack("<Q", data[:8])[0]])
+for name in ("x", "cotangent", "expected.y", "scale.y", "expected.grad.x"):
+    assert f"relu/plain@huge/{name}" in header, name
+assert json.loads(header["__metadata__"]["relu/plain@huge"])["ours"] == ["0", "0"], header["__metadata__"]
+PYTHON
+status=0
+"$opaline" bench stress --numerics sloppy 2>"$folder/error.txt" || status=$?
+[[ $status -eq 2 ]] || fail "unknown numerics gave exit code $status"
