@@ -49,8 +49,8 @@ inline bool winograd_fits(const ConvShape& s) {
 }
 
 /// Outputs a side of the tiles of Winograd's algorithm that should be fastest for a pass over this shape, or
-/// 0 for the direct one, among those whose error the numerics admit: strict F(2x2), balanced also F(4x4),
-/// fast also F(6x6).
+/// 0 for the direct one, among those whose error the numerics admit: strict F(2x2), but not for gradients of
+/// weights, balanced also F(4x4), fast also F(6x6).
 int choose_algorithm(const ConvShape& s, ConvPass pass, Numerics numerics);
 
 /// Safe to use from several threads.

@@ -82,3 +82,19 @@ PYTHON
 status=0
 "$opaline" bench stress --numerics sloppy 2>"$folder/error.txt" || status=$?
 [[ $status -eq 2 ]] || fail "unknown numerics gave exit code $status"
+
+# Convolutions and networks: every algorithm, its error, and errors within their bounds.
+"$opaline" bench conv --batch 1 --size 16 --in 32 --out 32 --repeats 1 > "$folder/conv.txt"
+for way in direct 'F(2x2)' 'F(4x4)' 'F(6x6)'; do expect "$folder/conv.txt" "$way"; done
+expect "$folder/conv.txt" 'weight gradient .* strict'
+"$opaline" bench layers --net normal --size 32 --width 16 --repeats 1 > "$folder/layers.txt"
+expect "$folder/layers.txt" 'inc.double_conv.0.weight'
+expect "$folder/layers.txt" '^strict: .* worst error 0\.'
+"$opaline" bench step --net cascade --forward --size 32 --width 8 --repeats 1 --numerics fast --json > "$folder/step.json"
+expect "$folder/step.json" '"beyond_parameters_bytes":[1-9]'
+for bad in "step --net cascade" "step --net normal --numerics quick" "layers" "layers --net normal --run nowhere"; do
+  status=0
+  # shellcheck disable=SC2086  # words on purpose
+  "$opaline" bench $bad --size 32 --width 8 >/dev/null 2>"$folder/error.txt" || status=$?
+  [[ $status -eq 2 ]] || fail "bench $bad gave exit code $status"
+done

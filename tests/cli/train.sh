@@ -102,6 +102,9 @@ code=0; wait "$pid" || code=$?
 [[ $code -eq 143 ]] || { cat "$folder/log"; die "exit $code after SIGTERM, expected 143"; }
 expect 2 "${train[@]}" --run "$folder/stopped"
 says err "opaline resume $folder/stopped"
+# The algorithms of its convolutions are kept with it; others would be another run.
+grep -qF '"numerics": "balanced"' "$folder/stopped/convolutions.json" || die "has no plan of convolutions"
+expect 2 "$opaline" resume "$folder/stopped" --set train.numerics=strict
 expect 0 "$opaline" resume "$folder/stopped" --set train.threads=1 --set data.threads=2
 # The state holds the config, threads and all; it is put back for the comparison.
 expect 0 "$opaline" resume "$folder/stopped" --from "$folder/stopped/checkpoints/step-65" --set train.threads=0 \
