@@ -113,6 +113,8 @@ class LeafCheck {
     include_error(result_.error, error);
   }
 
+  double first_step(double scale) const { return options_.step * std::min(kLossStep / scale, kLargestStep); }
+
   double direction_error(int draw) {
     const Tensor direction = draw_direction(grad_, random_);
     double scale = std::max(result_.norm, kFloor * typical_.norm);
@@ -124,7 +126,7 @@ class LeafCheck {
         x.data<double>()[i] = start.data<double>()[i] + h * direction.data<double>()[i];
       }
     };
-    const double step = std::min(kLossStep / scale, kLargestStep) * std::pow(kShrink, draw);
+    const double step = first_step(scale) * std::pow(kShrink, draw);
     return std::abs(derivative(loss_, move, step, scale) - dot(grad_, direction)) / scale;
   }
 
@@ -135,7 +137,7 @@ class LeafCheck {
     Tensor x = leaf_.tensor;
     const double start = x.data<double>()[i];
     const auto move = [&](double h) { x.data<double>()[i] = start + h; };
-    const double step = std::min(kLossStep / scale, kLargestStep) * std::pow(kShrink, draw);
+    const double step = first_step(scale) * std::pow(kShrink, draw);
     return std::abs(derivative(loss_, move, step, scale) - expected) / scale;
   }
 

@@ -22,6 +22,9 @@ struct GradientOptions {
   int64_t directions = 1;  ///< dense directions a leaf: each moves every element
   int64_t elements = 0;    ///< single elements a leaf
   int max_draws = 20;      ///< of a probe, before it counts as failed
+  /// Steps as a multiple of the usual ones: more suits a function that is linear in each leaf, whose
+  /// quotients are exact at any step and lose fewer digits at a large one.
+  double step = 1.0;
   uint64_t seed = 1;
 };
 

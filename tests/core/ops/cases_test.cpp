@@ -94,7 +94,10 @@ TEST_CASE("convolutions agree with reference, quotients and PyTorch by every alg
       CHECK(golden_error(op_case, wide, golden) <= op_case.tolerances.golden);
       CHECK(reference_error(op_case, narrow) <= 2.0 * op_case.tolerances.float32);
       CHECK(gradient_difference(narrow, wide) <= op_case.tolerances.float32_gradient);
-      for (const GradientError& result : gradient_errors(op_case)) {
+      // A convolution is linear in each input, so that large steps lose nothing but the rounding of the
+      // larger tiles.
+      for (const GradientError& result :
+           gradient_errors(op_case, {.directions = 3, .elements = 12, .step = 1000.0})) {
         INFO("by " << result.name << ": relative error " << result.error);
         CHECK(result.error <= op_case.tolerances.gradient);
       }
