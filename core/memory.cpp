@@ -15,14 +15,6 @@ constexpr int64_t kAlignment = 64;
 /// More than any address space holds; sizes below can be rounded up without overflow.
 constexpr int64_t kImpossible = int64_t{1} << 56;
 
-/// Where the address sanitizer watches, every block is new to it and filled with NaN: what a reused block
-/// holds would hide a read of memory that nobody wrote, or an overrun.
-#ifdef __SANITIZE_ADDRESS__
-constexpr bool kReuse = false;
-#else
-constexpr bool kReuse = true;
-#endif
-
 /// Sizes are rounded up to an eighth of their power of two, so that nearly equal requests share blocks while
 /// at most an eighth is wasted.
 int64_t bucket(int64_t bytes) {
@@ -78,11 +70,11 @@ std::shared_ptr<std::byte> Pool::allocate(int64_t bytes) {
            size, in_use_);
     }
   }
-  if (!kReuse) std::memset(block, 0xFF, static_cast<size_t>(size));
+  if (!kReuses) std::memset(block, 0xFF, static_cast<size_t>(size));
   return {block, [this, size](std::byte* freed) {
             const std::lock_guard lock(mutex_);
             in_use_ -= size;
-            if (kReuse) {
+            if (kReuses) {
               free_[size].push_back(freed);
             } else {
               std::free(freed);

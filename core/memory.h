@@ -14,6 +14,15 @@ namespace opaline {
 /// A caching allocator of 64-byte aligned blocks. Safe to use from several threads.
 class Pool {
  public:
+  /// Freed blocks are kept. Not where the address sanitizer watches: there every block is new to it and
+  /// filled with NaN, for what a used block holds would hide an overrun, or a read of memory that nobody
+  /// wrote.
+#ifdef __SANITIZE_ADDRESS__
+  static constexpr bool kReuses = false;
+#else
+  static constexpr bool kReuses = true;
+#endif
+
   Pool() = default;
   Pool(const Pool&) = delete;
   Pool& operator=(const Pool&) = delete;
