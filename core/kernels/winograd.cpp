@@ -35,39 +35,48 @@ struct TileGrid {
   Tile operator[](int64_t i) const {
     return {i / (down * across), i / across % down * outputs, i % across * outputs};
   }
+  /// The tile's first output in an image of rows x columns.
+  template <class T>
+  T* pixel(const Part<T>& image, const Tile& tile) const {
+    return image.data + ((tile.image * rows + tile.row) * columns + tile.column) * image.channels;
+  }
+};
+
+/// The 3 x 3 filters of a convolution from `in` to `out` channels in memory: distances of neighbouring
+/// inputs, outputs and taps; a negative `tap` walks the kernel backwards.
+template <class T>
+struct FilterTaps {
+  const T* weight;
+  int64_t in, out, in_stride, out_stride, tap;
 };
 
 /// Transformed filters: for each frequency panels of `width` outputs, each [padded inputs][width], zero
 /// beyond the last of both.
 template <class T>
 struct Filters {
-  int64_t in, out, width, panels, frequency;
+  const WinogradKernels<T>& k;
+  int64_t in, width, panels, frequency;
   Scratch<T> values;
 
-  /// `in_stride`, `out_stride` and `tap` are the distances of neighbours in `weight`; a negative `tap` walks
-  /// the kernel backwards.
-  Filters(const WinogradKernels<T>& k, const T* weight, int64_t in_, int64_t out_, int64_t in_stride,
-          int64_t out_stride, int64_t tap)
-      : in(round_up(in_, k.lanes)),
-        out(out_),
+  Filters(const WinogradKernels<T>& kernels, const FilterTaps<T>& taps, int64_t panels_)
+      : k(kernels),
+        in(round_up(taps.in, k.lanes)),
         width(2 * k.lanes),
-        panels((out + width - 1) / width),
+        panels(panels_),
         frequency(panels * in * width + k.lanes),
-        values(k.tile * k.tile * frequency) {
-    constexpr int64_t kInputsPerUnit = 8;
-    const int64_t units = in / kInputsPerUnit + (in % kInputsPerUnit != 0 ? 1 : 0);
-    const T* const first = tap < 0 ? weight - 8 * tap : weight;
-    parallel_for(panels * units, [&](int64_t unit) {
-      const int64_t p = unit / units, begin = unit % units * kInputsPerUnit;
-      for (int64_t i = begin; i < std::min(in, begin + kInputsPerUnit); ++i) {
-        for (int64_t j = 0; j < width; j += k.lanes) {
-          const int64_t column = p * width + j;
-          const int64_t valid = i < in_ ? std::clamp<int64_t>(out - column, 0, k.lanes) : 0;
-          k.weight(first + (valid > 0 ? i * in_stride + column * out_stride : 0), out_stride, tap, valid,
-                   values.data() + (p * in + i) * width + j, frequency);
-        }
+        values(k.tile * k.tile * frequency) {}
+
+  /// Transforms the inputs [begin, end) for the outputs from `output` on into panel `p`.
+  void fill(const FilterTaps<T>& taps, int64_t output, int64_t p, int64_t begin, int64_t end) const {
+    const T* const first = taps.tap < 0 ? taps.weight - 8 * taps.tap : taps.weight;
+    for (int64_t i = begin; i < end; ++i) {
+      for (int64_t j = 0; j < width; j += k.lanes) {
+        const int64_t column = output + j;
+        const int64_t valid = i < taps.in ? std::clamp<int64_t>(taps.out - column, 0, k.lanes) : 0;
+        k.weight(first + (valid > 0 ? i * taps.in_stride + column * taps.out_stride : 0), taps.out_stride,
+                 taps.tap, valid, values.data() + (p * in + i) * width + j, frequency);
       }
-    });
+    }
   }
 };
 
@@ -116,23 +125,39 @@ int64_t tiles_per_block(int64_t bytes_per_tile, int64_t filter_bytes) {
   return std::clamp<int64_t>(kBytes / bytes_per_tile / 8 * 8, least, 128);
 }
 
-/// y = correlation of x, `padding` pixels of border included, with the filters; parts of y without data are
-/// left out.
 template <class T>
-void convolve(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
-              const Filters<T>& filters, const T* bias, int64_t rows, int64_t columns, Parts<T> y) {
+int64_t panels_of(const WinogradKernels<T>& k, int64_t channels) {
+  return (channels + 2 * k.lanes - 1) / (2 * k.lanes);
+}
+
+/// The bias, zeros beyond it up to whole panels; null where there is none.
+template <class T>
+std::vector<T> padded(const T* bias, int64_t out, int64_t width) {
+  if (bias == nullptr) return {};
+  std::vector<T> values(static_cast<size_t>(width));
+  std::copy_n(bias, out, values.begin());
+  return values;
+}
+
+/// y = correlation of x, `padding` pixels of border included, with the filters; parts of y without data are
+/// left out. Every block of tiles meets all filters, which are transformed once: for large images.
+template <class T>
+void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
+                       const FilterTaps<T>& taps, const T* bias, const TileGrid& grid, Parts<T> y) {
   const Tiles<T>& gemm = tiles<T>();
-  const TileGrid grid(k.outputs, x.front().n, rows, columns);
-  const int64_t frequencies = k.tile * k.tile, out = filters.out;
+  const Filters<T> filters(k, taps, panels_of(k, taps.out));
+  constexpr int64_t kInputsPerUnit = 8;
+  const int64_t units = (filters.in + kInputsPerUnit - 1) / kInputsPerUnit;
+  parallel_for(filters.panels * units, [&](int64_t unit) {
+    const int64_t p = unit / units, begin = unit % units * kInputsPerUnit;
+    filters.fill(taps, p * filters.width, p, begin, std::min(filters.in, begin + kInputsPerUnit));
+  });
+  const int64_t frequencies = k.tile * k.tile;
   const int64_t out_width = filters.panels * filters.width;
+  const std::vector<T> offsets = padded(bias, taps.out, out_width);
   const int64_t block =
       tiles_per_block(frequencies * (filters.in + out_width) * static_cast<int64_t>(sizeof(T)),
                       frequencies * filters.frequency * static_cast<int64_t>(sizeof(T)));
-  const Scratch<T> padded_bias(out_width);
-  if (bias != nullptr) {
-    padded_bias.zero();
-    std::copy_n(bias, out, padded_bias.data());
-  }
   parallel_for((grid.count + block - 1) / block, [&](int64_t unit) {
     const int64_t begin = unit * block, count = std::min(block, grid.count - begin);
     const Frequencies in_layout{block * filters.in + k.lanes, block * k.lanes, k.lanes};
@@ -170,14 +195,87 @@ void convolve(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64
       for (int64_t i = 0; part.data != nullptr && i < count; ++i) {
         const TileGrid::Tile tile = grid[begin + i];
         k.output(product.data() + i * filters.width, at, part.channels,
-                 bias != nullptr ? padded_bias.data() + at.first : nullptr,
-                 part.data + ((tile.image * rows + tile.row) * columns + tile.column) * part.channels,
-                 columns * part.channels, part.channels, std::min(k.outputs, rows - tile.row),
-                 std::min(k.outputs, columns - tile.column));
+                 bias != nullptr ? offsets.data() + at.first : nullptr, grid.pixel(part, tile),
+                 grid.columns * part.channels, part.channels, std::min(k.outputs, grid.rows - tile.row),
+                 std::min(k.outputs, grid.columns - tile.column));
       }
       at.first += part.channels;
     }
   });
+}
+
+/// The same, where every group of output channels meets all tiles: for small images of many channels, whose
+/// transformed filters are larger than all else and so never leave the cache.
+template <class T>
+void convolve_by_channels(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
+                          const FilterTaps<T>& taps, const T* bias, const TileGrid& grid, Parts<T> y) {
+  const Tiles<T>& gemm = tiles<T>();
+  constexpr int64_t kTilesPerUnit = 8;
+  const int64_t frequencies = k.tile * k.tile, in = round_up(taps.in, k.lanes);
+  const Frequencies in_layout{grid.count * in + k.lanes, grid.count * k.lanes, k.lanes};
+  const Scratch<T> transformed(frequencies * in_layout.frequency);
+  parallel_blocks(grid.count, kTilesPerUnit, [&](int64_t begin, int64_t end) {
+    const Scratch<T> patch(k.tile * k.tile * widest(x));
+    Frequencies at = in_layout;
+    for (const Image<T>& part : x) {
+      transform_tiles(part, grid, begin, end - begin, k.tile, padding, patch.data(),
+                      transformed.data() + begin * k.lanes, k.lanes,
+                      [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
+                        k.input(d, row_stride, pixel_stride, part.channels, to, at);
+                      });
+      at.first += part.channels;
+    }
+  });
+  const int64_t panels = panels_of(k, taps.out);
+  const std::vector<T> offsets = padded(bias, taps.out, panels * 2 * k.lanes);
+  parallel_blocks(panels, 1, [&](int64_t first, int64_t last) {
+    const Filters<T> filters(k, taps, last - first);
+    const int64_t group = first * filters.width, group_end = last * filters.width;
+    const Frequencies out_layout{grid.count * (group_end - group) + k.lanes, grid.count * filters.width,
+                                 filters.width};
+    const Scratch<T> product(frequencies * out_layout.frequency);
+    for (int64_t p = first; p < last; ++p) filters.fill(taps, p * filters.width, p - first, 0, in);
+    DotTile<T> t;
+    t.a_stride = k.lanes;
+    t.a_run_stride = in_layout.panel;
+    t.runs = in / k.lanes;
+    t.run = k.lanes;
+    t.c_stride = filters.width;
+    t.columns = filters.width;
+    t.rows = grid.count;
+    for (int64_t f = 0; f < frequencies; ++f) {
+      for (int64_t p = 0; p < filters.panels; ++p) {
+        t.a = transformed.data() + f * in_layout.frequency;
+        t.b = filters.values.data() + f * filters.frequency + p * in * filters.width;
+        t.c = product.data() + f * out_layout.frequency + p * out_layout.panel;
+        gemm.dot(t, 2);
+      }
+    }
+    int64_t begin = 0;  // of the part
+    for (const Part<T>& part : y) {
+      const int64_t from = std::max(begin, group), to = std::min(begin + part.channels, group_end);
+      Frequencies at = out_layout;
+      at.first = from - group;
+      for (int64_t i = 0; part.data != nullptr && from < to && i < grid.count; ++i) {
+        const TileGrid::Tile tile = grid[i];
+        k.output(product.data() + i * filters.width, at, to - from,
+                 bias != nullptr ? offsets.data() + from : nullptr, grid.pixel(part, tile) + (from - begin),
+                 grid.columns * part.channels, part.channels, std::min(k.outputs, grid.rows - tile.row),
+                 std::min(k.outputs, grid.columns - tile.column));
+      }
+      begin += part.channels;
+    }
+  });
+}
+
+template <class T>
+void convolve(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
+              const FilterTaps<T>& taps, const T* bias, int64_t rows, int64_t columns, Parts<T> y) {
+  const TileGrid grid(k.outputs, x.front().n, rows, columns);
+  // By channels where the tiles take less memory than the filters, and there is enough for several threads.
+  constexpr int64_t kLeastPanels = 8, kMostTiles = 512;
+  const bool few = grid.count <= std::min(kMostTiles, taps.out) && panels_of(k, taps.out) >= kLeastPanels;
+  (few ? convolve_by_channels<T> : convolve_by_tiles<T>)(k, x, padding, taps, bias, grid, y);
 }
 
 }  // namespace
@@ -193,19 +291,18 @@ template <class T>
 void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias,
                       T* y) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
-  const Filters<T> filters(k, weight, s.in, s.out, 9, 9 * s.in, 1);
   const Part<T> whole{y, s.out};
-  convolve(k, images(s, x), s.padding, filters, bias, s.out_h(), s.out_w(), Parts<T>(&whole, 1));
+  convolve(k, images(s, x), s.padding, FilterTaps<T>{weight, s.in, s.out, 9, 9 * s.in, 1}, bias, s.out_h(),
+           s.out_w(), Parts<T>(&whole, 1));
 }
 
 template <class T>
 void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const T* weight, const T* bias,
                              Parts<T> dx) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
-  const Filters<T> filters(k, weight, s.out, s.in, 9 * s.in, 9, -1);
   const int64_t border = s.reflect ? s.padding : 0;
-  convolve(k, std::vector<Image<T>>{s.output(dy)}, 2 - s.padding + border, filters, bias, s.h + 2 * border,
-           s.w + 2 * border, dx);
+  convolve(k, std::vector<Image<T>>{s.output(dy)}, 2 - s.padding + border,
+           FilterTaps<T>{weight, s.out, s.in, 9 * s.in, 9, -1}, bias, s.h + 2 * border, s.w + 2 * border, dx);
 }
 
 namespace {
