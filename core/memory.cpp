@@ -29,7 +29,9 @@ std::byte* obtain(int64_t bytes) {
   constexpr int64_t kHugePage = int64_t{1} << 21;
   const bool huge = bytes >= 2 * kHugePage;
   const int64_t alignment = huge ? kHugePage : kAlignment;
-  const int64_t size = (bytes + alignment - 1) / alignment * alignment;
+  // Vectors without masks read up to one of them beyond the last element.
+  const int64_t beyond = Pool::kReuses ? kAlignment : 0;
+  const int64_t size = (bytes + beyond + alignment - 1) / alignment * alignment;
   void* const block = std::aligned_alloc(static_cast<size_t>(alignment), static_cast<size_t>(size));
   // A wish: where the system has no huge pages, small ones do.
   if (huge && block != nullptr) madvise(block, static_cast<size_t>(size), MADV_HUGEPAGE);

@@ -74,9 +74,8 @@ void correlate(const Image<T>& x, int64_t top, int64_t left, int64_t stride, con
 template <class T>
 void direct_forward(const ConvShape& s, const T* x, const T* weight, const T* bias, T* y) {
   PackedWeights<T> packed(s.kernel_h, s.kernel_w * s.in, s.out, bias);
-  packed.fill(s.in * s.kernel_h * s.kernel_w, [&](int64_t q, int64_t r) {
-    return weight + (r % s.in * s.kernel_h + q) * s.kernel_w + r / s.in;
-  });
+  const int64_t taps = s.kernel_h * s.kernel_w;
+  packed.fill_filters(weight, s.in, taps, s.in * taps, taps, [&](int64_t tap) { return tap * s.in; });
   correlate(s.input(x), -s.padding, -s.padding, s.stride, packed, s.out_h(), s.out_w(),
             OutputView<T>{y, s.out_h() * s.out_w() * s.out, s.out_w() * s.out, s.out});
 }
@@ -114,10 +113,11 @@ void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, con
         continue;
       }
       PackedWeights<T> packed(rows.taps, columns.taps * s.out, s.in, bias);
-      packed.fill(s.kernel_h * s.kernel_w, [&](int64_t q, int64_t r) {
-        const int64_t kh = cy + s.stride * (rows.taps - 1 - q);
-        const int64_t kw = cx + s.stride * (columns.taps - 1 - r / s.out);
-        return weight + (r % s.out * s.in * s.kernel_h + kh) * s.kernel_w + kw;
+      const int64_t taps = s.kernel_h * s.kernel_w;
+      packed.fill_filters(weight, s.out, s.in * taps, taps, taps, [&](int64_t tap) -> int64_t {
+        const int64_t kh = tap / s.kernel_w - cy, kw = tap % s.kernel_w - cx;
+        if (kh < 0 || kh % s.stride != 0 || kw < 0 || kw % s.stride != 0) return -1;
+        return ((rows.taps - 1 - kh / s.stride) * columns.taps + columns.taps - 1 - kw / s.stride) * s.out;
       });
       correlate(s.output(dy), rows.top, columns.top, 1, packed, rows.count, columns.count, out);
     }

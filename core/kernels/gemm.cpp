@@ -94,8 +94,7 @@ template <class T>
 void gemm_slice(int64_t m, int64_t n, int64_t k0, int64_t k1, const T* a, int64_t lda, const MatrixView<T>& b,
                 const T* bias, T* c, bool parallel) {
   PackedWeights<T> packed(1, k1 - k0, n, bias);
-  packed.fill(
-      b.column_stride, [&](int64_t, int64_t r) { return b.data + (k0 + r) * b.row_stride; }, parallel);
+  packed.fill(b.data + k0 * b.row_stride, b.row_stride, b.column_stride, parallel);
   const Tiles<T>& tile = tiles<T>();
   constexpr int64_t kRowsPerUnit = 64;
   const int64_t units = (m + kRowsPerUnit - 1) / kRowsPerUnit;
@@ -125,8 +124,7 @@ void gemm_slice(int64_t m, int64_t n, int64_t k0, int64_t k1, const T* a, int64_
 
 template <class T>
 PackedMatrix<T>::PackedMatrix(int64_t k, int64_t n, const MatrixView<T>& b) : packed_(1, k, n, nullptr) {
-  packed_.fill(
-      b.column_stride, [&](int64_t, int64_t r) { return b.data + r * b.row_stride; }, false);
+  packed_.fill(b.data, b.row_stride, b.column_stride, false);
 }
 
 template <class T>

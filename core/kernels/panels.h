@@ -6,6 +6,7 @@
 
 #include "core/kernels/scratch.h"
 #include "core/kernels/tile.h"
+#include "core/kernels/transpose.h"
 #include "core/parallel.h"
 
 namespace opaline::kernels {
@@ -34,23 +35,58 @@ struct PackedWeights {
 
   const T* panel(int64_t p) const { return values.data() + p * kernel_h * run * width; }
 
-  /// Fills element (row q, position r in the run, column j) with at(q, r)[j * stride].
-  template <class F>
-  void fill(int64_t stride, const F& at, bool parallel = true) {
-    const auto fill_row = [&](int64_t unit) {
-      const int64_t p = unit / kernel_h, q = unit % kernel_h;
-      T* to = values.data() + unit * run * width;
+  /// From a matrix (one row of the kernel): element (r, j) at data[r * row_stride + j * column_stride].
+  void fill(const T* data, int64_t row_stride, int64_t column_stride, bool parallel = true) {
+    constexpr int64_t kRows = 256;  // of a unit
+    const int64_t units = (run + kRows - 1) / kRows;
+    for_units(panels * units, parallel, [&](int64_t unit) {
+      const int64_t p = unit / units, begin = unit % units * kRows, end = std::min(run, begin + kRows);
       const int64_t valid = std::min(width, columns - p * width);
-      for (int64_t r = 0; r < run; ++r, to += width) {
-        const T* const from = at(q, r) + p * width * stride;
-        for (int64_t j = 0; j < valid; ++j) to[j] = from[j * stride];
-        std::fill(to + valid, to + width, T{});
+      const T* const from = data + begin * row_stride + p * width * column_stride;
+      T* const to = values.data() + (p * run + begin) * width;
+      if (row_stride == 1 && column_stride != 1) {
+        transpose(from, column_stride, valid, end - begin, to, width, width);
+        return;
       }
-    };
+      for (int64_t r = 0; r < end - begin; ++r) {
+        for (int64_t j = 0; j < valid; ++j) to[r * width + j] = from[r * row_stride + j * column_stride];
+        std::fill(to + r * width + valid, to + (r + 1) * width, T{});
+      }
+    });
+  }
+
+  /// From filters of `taps` neighbouring values: that of channel c and column j begins at
+  /// data[c * channel_stride + j * column_stride]. Tap t of channel 0 has its place at position place(t),
+  /// counted over all rows of the kernel, and channels follow each other; a negative place leaves it out.
+  template <class F>
+  void fill_filters(const T* data, int64_t channels, int64_t channel_stride, int64_t column_stride,
+                    int64_t taps, const F& place) {
+    constexpr int64_t kChannels = 16;  // of a unit
+    const int64_t units = (channels + kChannels - 1) / kChannels;
+    for_units(panels * units, true, [&](int64_t unit) {
+      const int64_t p = unit / units, begin = unit % units * kChannels;
+      const int64_t valid = std::min(width, columns - p * width);
+      const Scratch<T> filters(taps * width);
+      for (int64_t c = begin; c < std::min(channels, begin + kChannels); ++c) {
+        transpose(data + c * channel_stride + p * width * column_stride, column_stride, valid, taps,
+                  filters.data(), width, width);
+        for (int64_t t = 0; t < taps; ++t) {
+          const int64_t position = place(t);
+          if (position < 0) continue;
+          std::copy_n(filters.data() + t * width, width,
+                      values.data() + (p * kernel_h * run + position + c) * width);
+        }
+      }
+    });
+  }
+
+ private:
+  template <class F>
+  static void for_units(int64_t n, bool parallel, const F& f) {
     if (parallel) {
-      parallel_for(panels * kernel_h, fill_row);
+      parallel_for(n, f);
     } else {
-      for (int64_t unit = 0; unit < panels * kernel_h; ++unit) fill_row(unit);
+      for (int64_t unit = 0; unit < n; ++unit) f(unit);
     }
   }
 };

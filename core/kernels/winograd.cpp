@@ -7,6 +7,7 @@
 #include "core/kernels/image.h"
 #include "core/kernels/scratch.h"
 #include "core/kernels/tile.h"
+#include "core/kernels/transpose.h"
 #include "core/kernels/winograd_tile.h"
 #include "core/parallel.h"
 
@@ -47,7 +48,8 @@ struct TileGrid {
 template <class T>
 struct FilterTaps {
   const T* weight;
-  int64_t in, out, in_stride, out_stride, tap;
+  int64_t in, out, in_stride, out_stride;
+  bool backwards;  ///< turned by half a circle
 };
 
 /// Transformed filters: for each frequency panels of `width` outputs, each [padded inputs][width], zero
@@ -68,13 +70,18 @@ struct Filters {
 
   /// Transforms the inputs [begin, end) for the outputs from `output` on into panel `p`.
   void fill(const FilterTaps<T>& taps, int64_t output, int64_t p, int64_t begin, int64_t end) const {
-    const T* const first = taps.tap < 0 ? taps.weight - 8 * taps.tap : taps.weight;
+    const Scratch<T> filters(9 * width);
+    const int64_t valid = std::min(width, taps.out - output);
     for (int64_t i = begin; i < end; ++i) {
+      if (i < taps.in) {
+        transpose(taps.weight + i * taps.in_stride + output * taps.out_stride, taps.out_stride, valid,
+                  int64_t{9}, filters.data(), width, width);
+      } else {
+        filters.zero();
+      }
       for (int64_t j = 0; j < width; j += k.lanes) {
-        const int64_t column = output + j;
-        const int64_t valid = i < taps.in ? std::clamp<int64_t>(taps.out - column, 0, k.lanes) : 0;
-        k.weight(first + (valid > 0 ? i * taps.in_stride + column * taps.out_stride : 0), taps.out_stride,
-                 taps.tap, valid, values.data() + (p * in + i) * width + j, frequency);
+        k.weight(filters.data() + (taps.backwards ? 8 * width : 0) + j, taps.backwards ? -width : width,
+                 values.data() + (p * in + i) * width + j, frequency);
       }
     }
   }
@@ -292,8 +299,8 @@ void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T
                       T* y) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   const Part<T> whole{y, s.out};
-  convolve(k, images(s, x), s.padding, FilterTaps<T>{weight, s.in, s.out, 9, 9 * s.in, 1}, bias, s.out_h(),
-           s.out_w(), Parts<T>(&whole, 1));
+  convolve(k, images(s, x), s.padding, FilterTaps<T>{weight, s.in, s.out, 9, 9 * s.in, false}, bias,
+           s.out_h(), s.out_w(), Parts<T>(&whole, 1));
 }
 
 template <class T>
@@ -302,7 +309,8 @@ void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   const int64_t border = s.reflect ? s.padding : 0;
   convolve(k, std::vector<Image<T>>{s.output(dy)}, 2 - s.padding + border,
-           FilterTaps<T>{weight, s.out, s.in, 9 * s.in, 9, -1}, bias, s.h + 2 * border, s.w + 2 * border, dx);
+           FilterTaps<T>{weight, s.out, s.in, 9 * s.in, 9, true}, bias, s.h + 2 * border, s.w + 2 * border,
+           dx);
 }
 
 namespace {

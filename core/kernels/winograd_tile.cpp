@@ -214,22 +214,16 @@ HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, cons
 }
 
 template <class T, int kOutputs>
-HWY_ATTR void weight(const T* g, int64_t filter, int64_t tap, int64_t columns, T* to, int64_t frequency) {
+HWY_ATTR void weight(const T* taps, int64_t stride, T* to, int64_t frequency) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   constexpr int kTile = Winograd<kOutputs>::kTile;
-  const auto lanes = static_cast<int64_t>(hn::Lanes(d));
-  alignas(64) T taps[9][64 / sizeof(T)] = {};
-  for (int64_t j = 0; j < columns; ++j) {
-    for (int k = 0; k < 9; ++k) taps[k][j] = g[j * filter + k * tap];
-  }
-  static_cast<void>(lanes);
   V half[kTile][3];
 #pragma GCC unroll 8
   for (int j = 0; j < 3; ++j) {
     V x[3], r[kTile];
 #pragma GCC unroll 8
-    for (int i = 0; i < 3; ++i) x[i] = hn::Load(d, taps[3 * i + j]);
+    for (int i = 0; i < 3; ++i) x[i] = hn::LoadU(d, taps + (3 * i + j) * stride);
     evaluate<kOutputs, 3, true>(d, x, r);
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) half[i][j] = r[i];

@@ -32,10 +32,8 @@ struct WinogradKernels {
   /// y = A^T from A + bias (of a multiple of the lanes, or null) for the first `rows` x `columns` pixels.
   void (*output)(const T* from, const Frequencies& f, int64_t channels, const T* bias, T* y,
                  int64_t row_stride, int64_t pixel_stride, int64_t rows, int64_t columns) = nullptr;
-  /// to = G g G^T for `columns` (at most the lanes) filters: tap k of filter j at g[j * filter + k * tap].
-  /// Filters up to the lanes become zero.
-  void (*weight)(const T* g, int64_t filter, int64_t tap, int64_t columns, T* to,
-                 int64_t frequency) = nullptr;
+  /// to = G g G^T for `lanes` filters: tap k of filter j at taps[k * stride + j].
+  void (*weight)(const T* taps, int64_t stride, T* to, int64_t frequency) = nullptr;
   /// g = G^T from G, 9 contiguous values a filter for `columns` (at most the lanes) filters: the gradient of
   /// `weight`. Filters are `filter` apart.
   void (*weight_gradient)(const T* from, int64_t frequency, int64_t columns, T* g, int64_t filter) = nullptr;
