@@ -130,7 +130,9 @@ std::vector<ConvTiming> measure_conv(const ConvData& data, int repeats) {
                       .weight = data.weight.to(DType::kFloat64),
                       .dy = data.dy.to(DType::kFloat64)};
   std::vector<int> algorithms{0};
-  if (kernels::winograd_fits(s)) algorithms.insert(algorithms.end(), {2, 4, 6});
+  for (const int outputs : {2, 3, 4, 6}) {
+    if (kernels::winograd_fits(s, outputs)) algorithms.push_back(outputs);
+  }
   const double work = 2e-9 * static_cast<double>(data.dy.numel() * data.weight.numel() / s.out);
   std::vector<ConvTiming> timings;
   for (const ConvPass pass : kPasses) {
@@ -157,6 +159,7 @@ std::vector<ConvTiming> measure_conv(const ConvData& data, int repeats) {
 }
 
 std::string algorithm_name(int outputs) {
+  if (outputs == 3) return "F(3x3, 4x4)";
   return outputs == 0 ? "direct" : fmt::format("F({0}x{0})", outputs);
 }
 

@@ -23,6 +23,7 @@ double direct_work(const ConvShape& s, ConvPass pass) {
 
 double winograd_work(const ConvShape& s, ConvPass pass, int outputs) {
   constexpr double kFilter = 100.0, kSum = 80.0, kTile = 26.0;
+  constexpr int64_t kVector = 16;
   const bool backward = pass == ConvPass::kInputGradient;
   const int64_t border = backward && s.reflect ? s.padding : 0;
   const int64_t rows = backward ? s.h + 2 * border : s.out_h(),
@@ -30,24 +31,28 @@ double winograd_work(const ConvShape& s, ConvPass pass, int outputs) {
   const auto down = static_cast<double>((rows + outputs - 1) / outputs);
   const auto across = static_cast<double>((columns + outputs - 1) / outputs);
   const double tiles = static_cast<double>(s.n) * down * across;
-  const double frequencies = (outputs + 2) * (outputs + 2);
-  const auto filters = static_cast<double>(s.in * s.out), channels = static_cast<double>(s.in + s.out);
+  const int64_t taps = outputs == 3 ? 4 : 3, side = outputs + taps - 1;
+  const int64_t blocks = (s.kernel_h + taps - 1) / taps * ((s.kernel_w + taps - 1) / taps);
+  const int64_t from = backward ? s.out : s.in, to = backward ? s.in : s.out;
+  const int64_t sums = blocks == 1 ? from : blocks * ((from + kVector - 1) / kVector * kVector);
+  const auto filters = static_cast<double>(sums * to), channels = static_cast<double>(sums + to);
   const double each = pass == ConvPass::kWeightGradient ? kSum : kFilter;
   // Larger tiles go through more registers than there are.
   const double transform = kTile * (outputs == 6 ? 1.6 : 1.0);
-  return frequencies * (filters * (tiles / 0.88 + each) + tiles * channels * transform);
+  return static_cast<double>(side * side) * (filters * (tiles / 0.88 + each) + tiles * channels * transform);
 }
 
 }  // namespace
 
 int choose_algorithm(const ConvShape& s, ConvPass pass, Numerics numerics) {
-  if (!winograd_fits(s) || s.n == 0) return 0;
+  if (s.n == 0) return 0;
   // The tiles' gradients of weights cancel too much for strict: up to 1e-6 on real activations.
   const int strictest = pass == ConvPass::kWeightGradient ? 0 : 2;
   const int largest = numerics == Numerics::kFast ? 6 : numerics == Numerics::kBalanced ? 4 : strictest;
   int best = 0;
   double least = direct_work(s, pass);
-  for (int outputs = 2; outputs <= largest; outputs += 2) {
+  for (int outputs = 2; outputs <= largest; ++outputs) {
+    if (!winograd_fits(s, outputs)) continue;
     const double work = winograd_work(s, pass, outputs);
     if (work < least) {
       least = work;
@@ -97,9 +102,7 @@ void ConvPlan::load(std::string_view json, std::string_view source) {
         const auto pass = std::find_if(kPasses.begin(), kPasses.end(),
                                        [&](ConvPass candidate) { return to_string(candidate) == name; });
         const int outputs = value.get<int>();
-        const bool known =
-            outputs == 0 || ((outputs == 2 || outputs == 4 || outputs == 6) && winograd_fits(s));
-        if (pass == kPasses.end() || !known) {
+        if (pass == kPasses.end() || (outputs != 0 && !winograd_fits(s, outputs))) {
           fail(source, "\"{}\" has pass \"{}\" with tiles of {}", shape, name, outputs);
         }
         choices[{s, *pass}] = outputs;

@@ -43,14 +43,17 @@ enum class ConvPass { kForward, kInputGradient, kWeightGradient };
 /// "forward", "input gradient", "weight gradient".
 std::string_view to_string(ConvPass pass);
 
-/// Whether Winograd's algorithm can do this shape.
-inline bool winograd_fits(const ConvShape& s) {
-  return s.kernel_h == 3 && s.kernel_w == 3 && s.stride == 1 && s.padding <= 2;
+/// Whether Winograd's algorithm with tiles of `outputs` a side can do this shape: F(2x2), F(4x4) and F(6x6)
+/// kernels of 3 x 3; F(3x3, 4x4), with tiles of 3, kernels of 5 x 5 to 8 x 8.
+inline bool winograd_fits(const ConvShape& s, int outputs) {
+  const bool square = s.kernel_h == s.kernel_w && s.stride == 1 && s.padding < s.kernel_h;
+  if (outputs == 3) return square && s.kernel_h > 4 && s.kernel_h <= 8;
+  return square && s.kernel_h == 3 && (outputs == 2 || outputs == 4 || outputs == 6);
 }
 
 /// Outputs a side of the tiles of Winograd's algorithm that should be fastest for a pass over this shape, or
 /// 0 for the direct one, among those whose error the numerics admit: strict F(2x2), but not for gradients of
-/// weights, balanced also F(4x4), fast also F(6x6).
+/// weights, balanced also F(4x4) and F(3x3, 4x4), fast also F(6x6).
 int choose_algorithm(const ConvShape& s, ConvPass pass, Numerics numerics);
 
 /// Safe to use from several threads.

@@ -43,10 +43,59 @@ struct TileGrid {
   }
 };
 
-/// The 3 x 3 filters of a convolution from `in` to `out` channels in memory: distances of neighbouring
-/// inputs, outputs and taps; a negative `tap` walks the kernel backwards.
+/// How a kernel is cut into blocks of as many taps as a tile takes. Each block meets the image, shifted, as
+/// if it were further channels of one image.
+struct KernelBlocks {
+  int64_t side;      ///< taps a side of the kernel
+  int64_t taps;      ///< of a block
+  int64_t across;    ///< blocks a side
+  int64_t channels;  ///< from a block to the next: whole vectors, where there are several
+
+  template <class T>
+  KernelBlocks(const WinogradKernels<T>& k, int64_t side_, int64_t channels_)
+      : side(side_),
+        taps(k.taps),
+        across((side + taps - 1) / taps),
+        channels(across > 1 ? round_up(channels_, k.lanes) : channels_) {}
+
+  int64_t count() const { return across * across; }
+  int64_t total() const { return count() * channels; }
+  /// Tap t of block b, counted through the kernel's; negative where the kernel has none.
+  int64_t tap(int64_t b, int64_t t) const {
+    const int64_t row = b / across * taps + t / taps, column = b % across * taps + t % taps;
+    return row < side && column < side ? row * side + column : -1;
+  }
+};
+
+/// An image whose tiles become channels from `first` on; their patches begin (row, column) from their first
+/// output.
+template <class T>
+struct Source {
+  Image<T> image;
+  int64_t first, row, column;
+};
+
+/// The sources of a convolution of images next to each other, `reach` pixels up and left of their outputs.
+template <class T>
+std::vector<Source<T>> sources(const KernelBlocks& blocks, const std::vector<Image<T>>& parts,
+                               int64_t reach) {
+  std::vector<Source<T>> result;
+  for (int64_t b = 0; b < blocks.count(); ++b) {
+    int64_t first = b * blocks.channels;
+    for (const Image<T>& part : parts) {
+      result.push_back(
+          {part, first, b / blocks.across * blocks.taps - reach, b % blocks.across * blocks.taps - reach});
+      first += part.channels;
+    }
+  }
+  return result;
+}
+
+/// The filters of a convolution from `in` to `out` channels in memory, with the distances of neighbouring
+/// inputs and outputs.
 template <class T>
 struct FilterTaps {
+  KernelBlocks blocks;
   const T* weight;
   int64_t in, out, in_stride, out_stride;
   bool backwards;  ///< turned by half a circle
@@ -62,7 +111,7 @@ struct Filters {
 
   Filters(const WinogradKernels<T>& kernels, const FilterTaps<T>& taps, int64_t panels_)
       : k(kernels),
-        in(round_up(taps.in, k.lanes)),
+        in(round_up(taps.blocks.total(), k.lanes)),
         width(2 * k.lanes),
         panels(panels_),
         frequency(panels * in * width + k.lanes),
@@ -70,31 +119,40 @@ struct Filters {
 
   /// Transforms the inputs [begin, end) for the outputs from `output` on into panel `p`.
   void fill(const FilterTaps<T>& taps, int64_t output, int64_t p, int64_t begin, int64_t end) const {
-    const Scratch<T> filters(9 * width);
-    const int64_t valid = std::min(width, taps.out - output);
+    const KernelBlocks& blocks = taps.blocks;
+    const int64_t kernel = blocks.side * blocks.side, valid = std::min(width, taps.out - output);
+    const Scratch<T> filters((kernel + 1) * width);
+    const T* const zeros = filters.data() + kernel * width;
+    std::fill_n(filters.data() + kernel * width, width, T{});
+    std::vector<const T*> at(static_cast<size_t>(k.taps * k.taps));
     for (int64_t i = begin; i < end; ++i) {
-      if (i < taps.in) {
-        transpose(taps.weight + i * taps.in_stride + output * taps.out_stride, taps.out_stride, valid,
-                  int64_t{9}, filters.data(), width, width);
-      } else {
-        filters.zero();
+      const int64_t block = i / blocks.channels, channel = i % blocks.channels;
+      const bool exists = block < blocks.count() && channel < taps.in;
+      if (exists) {
+        transpose(taps.weight + channel * taps.in_stride + output * taps.out_stride, taps.out_stride, valid,
+                  kernel, filters.data(), width, width);
+      }
+      for (int64_t t = 0; t < k.taps * k.taps; ++t) {
+        const int64_t tap = exists ? blocks.tap(block, t) : -1;
+        at[static_cast<size_t>(t)] =
+            tap < 0 ? zeros : filters.data() + (taps.backwards ? kernel - 1 - tap : tap) * width;
       }
       for (int64_t j = 0; j < width; j += k.lanes) {
-        k.weight(filters.data() + (taps.backwards ? 8 * width : 0) + j, taps.backwards ? -width : width,
-                 values.data() + (p * in + i) * width + j, frequency);
+        k.weight(at.data(), j, values.data() + (p * in + i) * width + j, frequency);
       }
     }
   }
 };
 
-/// Transforms the tiles [begin, begin + count) of x, `reach` pixels up and left of their outputs, into slots
-/// 0, 1, .. of `to`, each `slot` from the next. What lies in the image is read in place.
+/// Transforms the tiles [begin, begin + count) of a source into slots 0, 1, .. of `to`, each `slot` from the
+/// next. What lies in the image is read in place.
 template <class T, class Transform>
-void transform_tiles(const Image<T>& x, const TileGrid& grid, int64_t begin, int64_t count, int64_t side,
-                     int64_t reach, T* patch, T* to, int64_t slot, const Transform& transform) {
+void transform_tiles(const Source<T>& source, const TileGrid& grid, int64_t begin, int64_t count,
+                     int64_t side, T* patch, T* to, int64_t slot, const Transform& transform) {
+  const Image<T>& x = source.image;
   for (int64_t i = 0; i < count; ++i) {
     const TileGrid::Tile tile = grid[begin + i];
-    const int64_t top = tile.row - reach, left = tile.column - reach;
+    const int64_t top = tile.row + source.row, left = tile.column + source.column;
     T* const out = to + i * slot;
     if (x.contains(top, left, side, side)) {
       transform(x.pixel(tile.image, top, left), x.w * x.channels, x.channels, out);
@@ -107,7 +165,20 @@ void transform_tiles(const Image<T>& x, const TileGrid& grid, int64_t begin, int
   }
 }
 
-/// The parts of a convolution's input as images; the memory of one tile's patch of the widest.
+/// The same, by the transform of inputs, of all sources; frequencies lie as in `layout`.
+template <class T>
+void transform_inputs(const WinogradKernels<T>& k, const std::vector<Source<T>>& x, const TileGrid& grid,
+                      int64_t begin, int64_t count, T* patch, T* to, int64_t slot, Frequencies layout) {
+  for (const Source<T>& source : x) {
+    layout.first = source.first;
+    transform_tiles(source, grid, begin, count, k.tile, patch, to, slot,
+                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* out) {
+                      k.input(d, row_stride, pixel_stride, source.image.channels, out, layout);
+                    });
+  }
+}
+
+/// The parts of a convolution's input as images; the channels of the widest source.
 template <class T>
 std::vector<Image<T>> images(const ConvShape& s, Parts<const T> parts) {
   std::vector<Image<T>> result;
@@ -118,9 +189,9 @@ std::vector<Image<T>> images(const ConvShape& s, Parts<const T> parts) {
 }
 
 template <class T>
-int64_t widest(const std::vector<Image<T>>& parts) {
+int64_t widest(const std::vector<Source<T>>& x) {
   int64_t channels = 0;
-  for (const Image<T>& part : parts) channels = std::max(channels, part.channels);
+  for (const Source<T>& source : x) channels = std::max(channels, source.image.channels);
   return channels;
 }
 
@@ -146,10 +217,10 @@ std::vector<T> padded(const T* bias, int64_t out, int64_t width) {
   return values;
 }
 
-/// y = correlation of x, `padding` pixels of border included, with the filters; parts of y without data are
-/// left out. Every block of tiles meets all filters, which are transformed once: for large images.
+/// y = correlation of x with the filters; parts of y without data are left out. Every block of tiles meets
+/// all filters, which are transformed once: for large images.
 template <class T>
-void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
+void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Source<T>>& x,
                        const FilterTaps<T>& taps, const T* bias, const TileGrid& grid, Parts<T> y) {
   const Tiles<T>& gemm = tiles<T>();
   const Filters<T> filters(k, taps, panels_of(k, taps.out));
@@ -173,14 +244,7 @@ void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Image<T>>&
     const Scratch<T> patch(k.tile * k.tile * widest(x));
     // [frequency][group of lanes channels][tile][lane], so that both transforms and products run through
     // memory in order.
-    Frequencies at = in_layout;
-    for (const Image<T>& part : x) {
-      transform_tiles(part, grid, begin, count, k.tile, padding, patch.data(), in.data(), k.lanes,
-                      [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
-                        k.input(d, row_stride, pixel_stride, part.channels, to, at);
-                      });
-      at.first += part.channels;
-    }
+    transform_inputs(k, x, grid, begin, count, patch.data(), in.data(), k.lanes, in_layout);
     DotTile<T> t;
     t.a_stride = k.lanes;
     t.a_run_stride = block * k.lanes;
@@ -197,7 +261,7 @@ void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Image<T>>&
         gemm.dot(t, 2);
       }
     }
-    at = out_layout;
+    Frequencies at = out_layout;
     for (const Part<T>& part : y) {
       for (int64_t i = 0; part.data != nullptr && i < count; ++i) {
         const TileGrid::Tile tile = grid[begin + i];
@@ -214,24 +278,17 @@ void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Image<T>>&
 /// The same, where every group of output channels meets all tiles: for small images of many channels, whose
 /// transformed filters are larger than all else and so never leave the cache.
 template <class T>
-void convolve_by_channels(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
+void convolve_by_channels(const WinogradKernels<T>& k, const std::vector<Source<T>>& x,
                           const FilterTaps<T>& taps, const T* bias, const TileGrid& grid, Parts<T> y) {
   const Tiles<T>& gemm = tiles<T>();
   constexpr int64_t kTilesPerUnit = 8;
-  const int64_t frequencies = k.tile * k.tile, in = round_up(taps.in, k.lanes);
+  const int64_t frequencies = k.tile * k.tile, in = round_up(taps.blocks.total(), k.lanes);
   const Frequencies in_layout{grid.count * in + k.lanes, grid.count * k.lanes, k.lanes};
   const Scratch<T> transformed(frequencies * in_layout.frequency);
   parallel_blocks(grid.count, kTilesPerUnit, [&](int64_t begin, int64_t end) {
     const Scratch<T> patch(k.tile * k.tile * widest(x));
-    Frequencies at = in_layout;
-    for (const Image<T>& part : x) {
-      transform_tiles(part, grid, begin, end - begin, k.tile, padding, patch.data(),
-                      transformed.data() + begin * k.lanes, k.lanes,
-                      [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
-                        k.input(d, row_stride, pixel_stride, part.channels, to, at);
-                      });
-      at.first += part.channels;
-    }
+    transform_inputs(k, x, grid, begin, end - begin, patch.data(), transformed.data() + begin * k.lanes,
+                     k.lanes, in_layout);
   });
   const int64_t panels = panels_of(k, taps.out);
   const std::vector<T> offsets = padded(bias, taps.out, panels * 2 * k.lanes);
@@ -276,13 +333,13 @@ void convolve_by_channels(const WinogradKernels<T>& k, const std::vector<Image<T
 }
 
 template <class T>
-void convolve(const WinogradKernels<T>& k, const std::vector<Image<T>>& x, int64_t padding,
-              const FilterTaps<T>& taps, const T* bias, int64_t rows, int64_t columns, Parts<T> y) {
-  const TileGrid grid(k.outputs, x.front().n, rows, columns);
+void convolve(const WinogradKernels<T>& k, const std::vector<Source<T>>& x, const FilterTaps<T>& taps,
+              const T* bias, int64_t rows, int64_t columns, Parts<T> y) {
+  const TileGrid grid(k.outputs, x.front().image.n, rows, columns);
   // By channels where the tiles take less memory than the filters, and there is enough for several threads.
   constexpr int64_t kLeastPanels = 8, kMostTiles = 512;
   const bool few = grid.count <= std::min(kMostTiles, taps.out) && panels_of(k, taps.out) >= kLeastPanels;
-  (few ? convolve_by_channels<T> : convolve_by_tiles<T>)(k, x, padding, taps, bias, grid, y);
+  (few ? convolve_by_channels<T> : convolve_by_tiles<T>)(k, x, taps, bias, grid, y);
 }
 
 }  // namespace
@@ -298,9 +355,12 @@ template <class T>
 void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias,
                       T* y) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
+  const KernelBlocks blocks(k, s.kernel_h, s.in);
+  const int64_t kernel = s.kernel_h * s.kernel_w;
   const Part<T> whole{y, s.out};
-  convolve(k, images(s, x), s.padding, FilterTaps<T>{weight, s.in, s.out, 9, 9 * s.in, false}, bias,
-           s.out_h(), s.out_w(), Parts<T>(&whole, 1));
+  convolve(k, sources(blocks, images(s, x), s.padding),
+           FilterTaps<T>{blocks, weight, s.in, s.out, kernel, kernel * s.in, false}, bias, s.out_h(),
+           s.out_w(), Parts<T>(&whole, 1));
 }
 
 template <class T>
@@ -308,9 +368,11 @@ void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const
                              Parts<T> dx) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   const int64_t border = s.reflect ? s.padding : 0;
-  convolve(k, std::vector<Image<T>>{s.output(dy)}, 2 - s.padding + border,
-           FilterTaps<T>{weight, s.out, s.in, 9 * s.in, 9, true}, bias, s.h + 2 * border, s.w + 2 * border,
-           dx);
+  const KernelBlocks blocks(k, s.kernel_h, s.out);
+  const int64_t kernel = s.kernel_h * s.kernel_w;
+  convolve(k, sources(blocks, std::vector<Image<T>>{s.output(dy)}, s.kernel_h - 1 - s.padding + border),
+           FilterTaps<T>{blocks, weight, s.out, s.in, kernel * s.in, kernel, true}, bias, s.h + 2 * border,
+           s.w + 2 * border, dx);
 }
 
 namespace {
@@ -323,13 +385,14 @@ class WeightSums {
   WeightSums(const WinogradKernels<T>& k, const ConvShape& s, Parts<const T> x, const T* dy, int64_t block)
       : k_(k),
         s_(s),
-        x_(images(s, x)),
-        dy_(s.output(dy)),
+        blocks_(k, s.kernel_h, s.in),
+        x_(sources(blocks_, images(s, x), s.padding)),
+        dy_{s.output(dy), 0, 0, 0},
         grid_(k.outputs, s.n, s.out_h(), s.out_w()),
         width_(2 * k.lanes),
         frequencies_(k.tile * k.tile),
         a_{block * round_up(s.out, k.lanes) + k.lanes, block * k.lanes, k.lanes},
-        b_{block * round_up(s.in, width_) + k.lanes, block * width_, width_} {}
+        b_{block * round_up(blocks_.total(), width_) + k.lanes, block * width_, width_} {}
 
   const TileGrid& grid() const { return grid_; }
   int64_t frequencies() const { return frequencies_; }
@@ -337,21 +400,14 @@ class WeightSums {
   int64_t a_size() const { return frequencies_ * a_.frequency; }
   int64_t b_size() const { return frequencies_ * b_.frequency; }
   int64_t sums_size() const { return frequencies_ * sums_frequency(); }
-  int64_t sums_frequency() const { return s_.out * s_.in + k_.lanes; }
-  int64_t panels() const { return (s_.in + width_ - 1) / width_; }
+  int64_t sums_frequency() const { return s_.out * blocks_.total() + k_.lanes; }
+  int64_t panels() const { return (blocks_.total() + width_ - 1) / width_; }
 
   /// Tiles [first, first + count) of the grid into the slots from `slot` on.
   void transform(int64_t first, int64_t count, int64_t slot, T* a, T* b) const {
     const Scratch<T> patch(k_.tile * k_.tile * std::max(widest(x_), s_.out));
-    Frequencies at = b_;
-    for (const Image<T>& part : x_) {
-      transform_tiles(part, grid_, first, count, k_.tile, s_.padding, patch.data(), b + slot * width_, width_,
-                      [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
-                        k_.input(d, row_stride, pixel_stride, part.channels, to, at);
-                      });
-      at.first += part.channels;
-    }
-    transform_tiles(dy_, grid_, first, count, k_.outputs, 0, patch.data(), a + slot * k_.lanes, k_.lanes,
+    transform_inputs(k_, x_, grid_, first, count, patch.data(), b + slot * width_, width_, b_);
+    transform_tiles(dy_, grid_, first, count, k_.outputs, patch.data(), a + slot * k_.lanes, k_.lanes,
                     [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
                       k_.output_gradient(d, row_stride, pixel_stride, s_.out, to, a_);
                     });
@@ -364,8 +420,8 @@ class WeightSums {
     OuterTile<T> t;
     t.a_stride = k_.lanes;
     t.b_stride = width_;
-    t.c_stride = s_.in;
-    t.columns = std::min(width_, s_.in - panel * width_);
+    t.c_stride = blocks_.total();
+    t.columns = std::min(width_, blocks_.total() - panel * width_);
     constexpr int64_t kPiece = 128;  // tiles whose panel stays in the innermost cache
     for (int64_t first = 0; first < count; first += kPiece) {
       t.b = b + f * b_.frequency + panel * b_.panel + first * width_;
@@ -374,7 +430,7 @@ class WeightSums {
       for (int64_t o = 0; o < s_.out; o += gemm.rows) {
         t.a = a + f * a_.frequency + o / k_.lanes * a_.panel + o % k_.lanes + first * k_.lanes;
         t.rows = std::min(gemm.rows, s_.out - o);
-        t.c = sums + f * sums_frequency() + o * s_.in + panel * width_;
+        t.c = sums + f * sums_frequency() + o * blocks_.total() + panel * width_;
         gemm.outer(t);
       }
     }
@@ -382,11 +438,23 @@ class WeightSums {
 
   /// The taps' gradient from the sums.
   void finish(const T* sums, T* dweight) const {
+    const int64_t kernel = s_.kernel_h * s_.kernel_w, taps = k_.taps * k_.taps;
     parallel_blocks(s_.out, 4, [&](int64_t first, int64_t last) {
+      const Scratch<T> filters(k_.lanes * taps);
       for (int64_t o = first; o < last; ++o) {
         for (int64_t i = 0; i < s_.in; i += k_.lanes) {
-          k_.weight_gradient(sums + o * s_.in + i, sums_frequency(), std::min(k_.lanes, s_.in - i),
-                             dweight + (o * s_.in + i) * 9, 9);
+          const int64_t count = std::min(k_.lanes, s_.in - i);
+          T* const to = dweight + (o * s_.in + i) * kernel;
+          for (int64_t block = 0; block < blocks_.count(); ++block) {
+            const T* const from = sums + o * blocks_.total() + block * blocks_.channels + i;
+            const bool whole = kernel == taps;
+            k_.weight_gradient(from, sums_frequency(), count, whole ? to : filters.data(), taps);
+            for (int64_t t = 0; t < taps && !whole; ++t) {
+              const int64_t tap = blocks_.tap(block, t);
+              if (tap < 0) continue;
+              for (int64_t j = 0; j < count; ++j) to[j * kernel + tap] = filters.data()[j * taps + t];
+            }
+          }
         }
       }
     });
@@ -395,8 +463,9 @@ class WeightSums {
  private:
   const WinogradKernels<T>& k_;
   const ConvShape& s_;
-  std::vector<Image<T>> x_;
-  Image<T> dy_;
+  KernelBlocks blocks_;
+  std::vector<Source<T>> x_;
+  Source<T> dy_;
   TileGrid grid_;
   int64_t width_, frequencies_;
   Frequencies a_, b_;
@@ -408,7 +477,7 @@ template <class T>
 void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   if (s.n == 0) {
-    std::fill_n(dweight, s.out * s.in * 9, T{});
+    std::fill_n(dweight, s.out * s.in * s.kernel_h * s.kernel_w, T{});
     return;
   }
   // Few channels: a group of tiles has sums of its own, which stay near the core with the block that it works

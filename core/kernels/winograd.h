@@ -1,6 +1,7 @@
-// Winograd's convolution for 3 x 3 kernels of stride 1: the same results as the direct one with fewer
-// multiplications and a larger rounding error (winograd_points.h). Tiles are taken in blocks that stay in the
-// caches; nothing is transformed as a whole. The order of every sum depends on the shape alone.
+// Winograd's convolution for square kernels of stride 1: the same results as the direct one with fewer
+// multiplications and a larger rounding error (winograd_points.h). Kernels of 3 x 3 fit a tile; those of up
+// to 8 x 8 are cut into four of 4 x 4. Tiles are taken in blocks that stay in the caches; nothing is
+// transformed as a whole. The order of every sum depends on the shape alone.
 #pragma once
 
 #include "core/kernels/conv_plan.h"
@@ -12,7 +13,8 @@ namespace opaline::kernels {
 template <class T>
 bool winograd_takes(Parts<T> parts);
 
-/// `outputs` is m of F(m x m, 3 x 3): 2, 4 or 6. Arguments as in conv.h; needs a 3 x 3 kernel and stride 1.
+/// `outputs` as winograd_fits() allows: m of F(m x m, 3 x 3), or 3 for F(3 x 3, 4 x 4). Other arguments as in
+/// conv.h.
 template <class T>
 void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias,
                       T* y);

@@ -5,7 +5,8 @@
 // where row p of B^T has the coefficients of M(x) / (x - p), row p of G is (1, p, p^2) / N_p with
 // N_p = prod_{q != p} (p - q), row p of A is (1, p, .., p^(m-1)), and infinity contributes M itself, the last
 // tap and the last power. Points come in pairs p and -p: their rows are sum and difference of an even and an
-// odd part, which halves the work.
+// odd part, which halves the work. The points of F(m, 3) serve F(m + 3 - r, r) as well: A and G have as many
+// powers as there are outputs and taps, B is the same.
 #pragma once
 
 #include <array>

@@ -102,13 +102,15 @@ HWY_INLINE void interpolate(D d, const V* x, V* y) {
   }
 }
 
-/// Calls f(channel, address, mask, whole) for each vector of channels.
-template <class T, int kOutputs>
+// In what follows a tile has the points of F(kPoints x kPoints, 3 x 3), and takes a kernel of kTaps x kTaps
+// to kPoints + 3 - kTaps outputs a side.
+
+template <class T, int kPoints>
 HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int64_t channels, T* to,
                     const Frequencies& f) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
-  constexpr int kTile = Winograd<kOutputs>::kTile;
+  constexpr int kTile = Winograd<kPoints>::kTile;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
   for (int64_t c = 0; c < channels; c += lanes) {
     V half[kTile][kTile];
@@ -123,7 +125,7 @@ HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int
         const T* const at = column + i * row_stride;
         x[i] = whole ? hn::LoadU(d, at) : hn::MaskedLoad(mask, d, at);
       }
-      transform_input<kOutputs>(d, x, r);
+      transform_input<kPoints>(d, x, r);
 #pragma GCC unroll 8
       for (int i = 0; i < kTile; ++i) half[i][j] = r[i];
     }
@@ -131,19 +133,19 @@ HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) {
       V r[kTile];
-      transform_input<kOutputs>(d, half[i], r);
+      transform_input<kPoints>(d, half[i], r);
 #pragma GCC unroll 8
       for (int j = 0; j < kTile; ++j) hn::StoreU(r[j], d, out + (i * kTile + j) * f.frequency);
     }
   }
 }
 
-template <class T, int kOutputs>
+template <class T, int kPoints, int kTaps>
 HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_stride, int64_t channels,
                               T* to, const Frequencies& f) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
-  constexpr int kTile = Winograd<kOutputs>::kTile;
+  constexpr int kTile = Winograd<kPoints>::kTile, kOutputs = kTile + 1 - kTaps;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
   for (int64_t c = 0; c < channels; c += lanes) {
     V half[kTile][kOutputs];
@@ -158,7 +160,7 @@ HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_s
         const T* const at = column + i * row_stride;
         x[i] = whole ? hn::LoadU(d, at) : hn::MaskedLoad(mask, d, at);
       }
-      evaluate<kOutputs, kOutputs, false>(d, x, r);
+      evaluate<kPoints, kOutputs, false>(d, x, r);
 #pragma GCC unroll 8
       for (int i = 0; i < kTile; ++i) half[i][j] = r[i];
     }
@@ -166,19 +168,19 @@ HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_s
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) {
       V r[kTile];
-      evaluate<kOutputs, kOutputs, false>(d, half[i], r);
+      evaluate<kPoints, kOutputs, false>(d, half[i], r);
 #pragma GCC unroll 8
       for (int j = 0; j < kTile; ++j) hn::StoreU(r[j], d, out + (i * kTile + j) * f.frequency);
     }
   }
 }
 
-template <class T, int kOutputs>
+template <class T, int kPoints, int kTaps>
 HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, const T* bias, T* y,
                      int64_t row_stride, int64_t pixel_stride, int64_t rows, int64_t columns) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
-  constexpr int kTile = Winograd<kOutputs>::kTile;
+  constexpr int kTile = Winograd<kPoints>::kTile, kOutputs = kTile + 1 - kTaps;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
   for (int64_t c = 0; c < channels; c += lanes) {
     V half[kOutputs][kTile];
@@ -188,7 +190,7 @@ HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, cons
       V x[kTile], r[kOutputs];
 #pragma GCC unroll 8
       for (int i = 0; i < kTile; ++i) x[i] = hn::LoadU(d, in + (i * kTile + j) * f.frequency);
-      interpolate<kOutputs, kOutputs, false>(d, x, r);
+      interpolate<kPoints, kOutputs, false>(d, x, r);
 #pragma GCC unroll 8
       for (int i = 0; i < kOutputs; ++i) half[i][j] = r[i];
     }
@@ -198,7 +200,7 @@ HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, cons
 #pragma GCC unroll 8
     for (int i = 0; i < kOutputs; ++i) {
       V r[kOutputs];
-      interpolate<kOutputs, kOutputs, false>(d, half[i], r);
+      interpolate<kPoints, kOutputs, false>(d, half[i], r);
       T* const line = y + i * row_stride + c;
       if (whole) {
 #pragma GCC unroll 8
@@ -213,81 +215,84 @@ HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, cons
   }
 }
 
-template <class T, int kOutputs>
-HWY_ATTR void weight(const T* taps, int64_t stride, T* to, int64_t frequency) {
+template <class T, int kPoints, int kTaps>
+HWY_ATTR void weight(const T* const* taps, int64_t offset, T* to, int64_t frequency) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
-  constexpr int kTile = Winograd<kOutputs>::kTile;
-  V half[kTile][3];
+  constexpr int kTile = Winograd<kPoints>::kTile;
+  V half[kTile][kTaps];
 #pragma GCC unroll 8
-  for (int j = 0; j < 3; ++j) {
-    V x[3], r[kTile];
+  for (int j = 0; j < kTaps; ++j) {
+    V x[kTaps], r[kTile];
 #pragma GCC unroll 8
-    for (int i = 0; i < 3; ++i) x[i] = hn::LoadU(d, taps + (3 * i + j) * stride);
-    evaluate<kOutputs, 3, true>(d, x, r);
+    for (int i = 0; i < kTaps; ++i) x[i] = hn::LoadU(d, taps[kTaps * i + j] + offset);
+    evaluate<kPoints, kTaps, true>(d, x, r);
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) half[i][j] = r[i];
   }
 #pragma GCC unroll 8
   for (int i = 0; i < kTile; ++i) {
     V r[kTile];
-    evaluate<kOutputs, 3, true>(d, half[i], r);
+    evaluate<kPoints, kTaps, true>(d, half[i], r);
 #pragma GCC unroll 8
     for (int j = 0; j < kTile; ++j) hn::StoreU(r[j], d, to + (i * kTile + j) * frequency);
   }
 }
 
-template <class T, int kOutputs>
+template <class T, int kPoints, int kTaps>
 HWY_ATTR void weight_gradient(const T* from, int64_t frequency, int64_t columns, T* g, int64_t filter) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
-  constexpr int kTile = Winograd<kOutputs>::kTile;
+  constexpr int kTile = Winograd<kPoints>::kTile;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
   const auto mask = hn::FirstN(d, static_cast<size_t>(columns));
   const bool whole = columns >= lanes;
-  V half[3][kTile];
+  V half[kTaps][kTile];
 #pragma GCC unroll 8
   for (int j = 0; j < kTile; ++j) {
-    V x[kTile], r[3];
+    V x[kTile], r[kTaps];
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) {
       const T* const at = from + (i * kTile + j) * frequency;
       x[i] = whole ? hn::LoadU(d, at) : hn::MaskedLoad(mask, d, at);
     }
-    interpolate<kOutputs, 3, true>(d, x, r);
+    interpolate<kPoints, kTaps, true>(d, x, r);
 #pragma GCC unroll 8
-    for (int i = 0; i < 3; ++i) half[i][j] = r[i];
+    for (int i = 0; i < kTaps; ++i) half[i][j] = r[i];
   }
-  alignas(64) T taps[9][64 / sizeof(T)];
+  alignas(64) T taps[kTaps * kTaps][64 / sizeof(T)];
 #pragma GCC unroll 8
-  for (int i = 0; i < 3; ++i) {
-    V r[3];
-    interpolate<kOutputs, 3, true>(d, half[i], r);
+  for (int i = 0; i < kTaps; ++i) {
+    V r[kTaps];
+    interpolate<kPoints, kTaps, true>(d, half[i], r);
 #pragma GCC unroll 8
-    for (int j = 0; j < 3; ++j) hn::Store(r[j], d, taps[3 * i + j]);
+    for (int j = 0; j < kTaps; ++j) hn::Store(r[j], d, taps[kTaps * i + j]);
   }
   for (int64_t j = 0; j < columns && j < lanes; ++j) {
-    for (int k = 0; k < 9; ++k) g[j * filter + k] = taps[k][j];
+    for (int k = 0; k < kTaps * kTaps; ++k) g[j * filter + k] = taps[k][j];
   }
 }
 
-template <class T, int kOutputs>
+template <class T, int kPoints, int kTaps>
 WinogradKernels<T> make_winograd_kernels() {
-  return {kOutputs,
-          Winograd<kOutputs>::kTile,
+  constexpr int kTile = Winograd<kPoints>::kTile;
+  return {kTile + 1 - kTaps,
+          kTaps,
+          kTile,
           static_cast<int64_t>(hn::Lanes(hn::ScalableTag<T>())),
-          &input<T, kOutputs>,
-          &output_gradient<T, kOutputs>,
-          &output<T, kOutputs>,
-          &weight<T, kOutputs>,
-          &weight_gradient<T, kOutputs>};
+          &input<T, kPoints>,
+          &output_gradient<T, kPoints, kTaps>,
+          &output<T, kPoints, kTaps>,
+          &weight<T, kPoints, kTaps>,
+          &weight_gradient<T, kPoints, kTaps>};
 }
 
 template <class T>
 WinogradKernels<T> select(int outputs) {
-  if (outputs == 2) return make_winograd_kernels<T, 2>();
-  if (outputs == 4) return make_winograd_kernels<T, 4>();
-  return make_winograd_kernels<T, 6>();
+  if (outputs == 2) return make_winograd_kernels<T, 2, 3>();
+  if (outputs == 3) return make_winograd_kernels<T, 4, 4>();
+  if (outputs == 4) return make_winograd_kernels<T, 4, 3>();
+  return make_winograd_kernels<T, 6, 3>();
 }
 
 WinogradKernels<float> winograd_float(int outputs) {
@@ -309,12 +314,14 @@ HWY_EXPORT(winograd_double);
 
 namespace {
 
-/// All three, made once.
+/// All of them, made once.
 template <class T, class Select>
 const WinogradKernels<T>& kept(int outputs, const Select& select) {
-  static const WinogradKernels<T> kernels[] = {select(2), select(4), select(6)};
-  if (outputs != 2 && outputs != 4 && outputs != 6) fail("winograd", "tiles of {} outputs", outputs);
-  return kernels[outputs / 2 - 1];
+  static const WinogradKernels<T> kernels[] = {select(2), select(3), select(4), select(6)};
+  for (const WinogradKernels<T>& k : kernels) {
+    if (k.outputs == outputs) return k;
+  }
+  fail("winograd", "tiles of {} outputs", outputs);
 }
 
 }  // namespace

@@ -1,6 +1,7 @@
-// The transforms of Winograd's convolution F(m x m, 3 x 3) (winograd_points.h) for single tiles, vectorised
-// over channels, compiled for several instruction sets and chosen at run time. A tile has (m + 2)^2 values a
-// channel in both domains; position (i, j) of the transformed one is called frequency i * (m + 2) + j.
+// The transforms of Winograd's convolution F(m x m, r x r) (winograd_points.h) for single tiles, vectorised
+// over channels, compiled for several instruction sets and chosen at run time. A tile has (m + r - 1)^2
+// values a channel in both domains; position (i, j) of the transformed one is called frequency i * (m + r -
+// 1) + j.
 #pragma once
 
 #include <cstdint>
@@ -20,7 +21,8 @@ struct Frequencies {
 template <class T>
 struct WinogradKernels {
   int64_t outputs = 0;  ///< m: pixels a side that a tile produces
-  int64_t tile = 0;     ///< m + 2
+  int64_t taps = 0;     ///< r: taps a side of the kernel
+  int64_t tile = 0;     ///< m + r - 1
   int64_t lanes = 0;
 
   /// to = B^T d B for a patch d of tile x tile pixels; channels up to a multiple of the lanes become zero.
@@ -32,14 +34,14 @@ struct WinogradKernels {
   /// y = A^T from A + bias (of a multiple of the lanes, or null) for the first `rows` x `columns` pixels.
   void (*output)(const T* from, const Frequencies& f, int64_t channels, const T* bias, T* y,
                  int64_t row_stride, int64_t pixel_stride, int64_t rows, int64_t columns) = nullptr;
-  /// to = G g G^T for `lanes` filters: tap k of filter j at taps[k * stride + j].
-  void (*weight)(const T* taps, int64_t stride, T* to, int64_t frequency) = nullptr;
-  /// g = G^T from G, 9 contiguous values a filter for `columns` (at most the lanes) filters: the gradient of
-  /// `weight`. Filters are `filter` apart.
+  /// to = G g G^T for `lanes` filters: tap k of filter j at taps[k][offset + j].
+  void (*weight)(const T* const* taps, int64_t offset, T* to, int64_t frequency) = nullptr;
+  /// g = G^T from G, r * r contiguous values a filter for `columns` (at most the lanes) filters: the gradient
+  /// of `weight`. Filters are `filter` apart.
   void (*weight_gradient)(const T* from, int64_t frequency, int64_t columns, T* g, int64_t filter) = nullptr;
 };
 
-/// m = 2, 4 or 6.
+/// By m: F(2 x 2, 3 x 3), F(3 x 3, 4 x 4), F(4 x 4, 3 x 3) or F(6 x 6, 3 x 3).
 template <class T>
 const WinogradKernels<T>& winograd_kernels(int outputs);
 

@@ -23,12 +23,20 @@ TEST_CASE("numerics admit algorithms by their error") {
     // What Winograd cannot do is direct in all of them.
     ConvShape strided = wide, large = wide;
     strided.stride = 2;
-    large.kernel_h = large.kernel_w = 7;
+    large.kernel_h = large.kernel_w = 9;
     for (const Numerics numerics : {Numerics::kStrict, Numerics::kBalanced, Numerics::kFast}) {
       CHECK(choose_algorithm(strided, pass, numerics) == 0);
       CHECK(choose_algorithm(large, pass, numerics) == 0);
       CHECK(choose_algorithm(layer(0, 64, 256, 256), pass, numerics) == 0);
     }
+  }
+  // Four blocks of a large kernel.
+  ConvShape stem = layer(2, 256, 26, 64);
+  stem.kernel_h = stem.kernel_w = 7;
+  stem.padding = 3;
+  for (const ConvPass pass : {ConvPass::kForward, ConvPass::kInputGradient, ConvPass::kWeightGradient}) {
+    CHECK(choose_algorithm(stem, pass, Numerics::kStrict) == 0);
+    CHECK(choose_algorithm(stem, pass, Numerics::kBalanced) == 3);
   }
   // A few pixels do not pay for the transformation of many filters.
   CHECK(choose_algorithm(layer(1, 4, 512, 512), ConvPass::kForward, Numerics::kBalanced) == 0);

@@ -76,14 +76,14 @@ double error(const std::vector<T>& value, const std::vector<double>& reference) 
 /// against it.
 std::vector<ConvShape> shapes() {
   const auto shape = [](int64_t n, int64_t h, int64_t w, int64_t in, int64_t out, int64_t padding,
-                        bool reflect = false) {
+                        bool reflect = false, int64_t kernel = 3) {
     return ConvShape{.n = n,
                      .h = h,
                      .w = w,
                      .in = in,
                      .out = out,
-                     .kernel_h = 3,
-                     .kernel_w = 3,
+                     .kernel_h = kernel,
+                     .kernel_w = kernel,
                      .padding = padding,
                      .reflect = reflect};
   };
@@ -100,21 +100,34 @@ std::vector<ConvShape> shapes() {
       shape(1, 60, 60, 4, 5, 1),          // more tiles than a block
       shape(1, 70, 66, 24, 24, 1, true),  // more blocks than one group
       shape(1, 36, 36, 160, 136, 1),      // channels enough for shared sums
+      shape(2, 9, 10, 40, 300, 1),        // channels enough to go by channels
+      shape(2, 7, 8, 290, 38, 1, true),   // the same for the gradient of the input
       shape(0, 4, 4, 16, 16, 1),          // no image
+      // Kernels in four blocks of taps.
+      shape(2, 9, 11, 16, 32, 3, false, 7),
+      shape(2, 10, 8, 21, 37, 3, true, 7),
+      shape(1, 7, 7, 3, 2, 0, false, 7),  // a single output
+      shape(1, 1, 1, 5, 18, 3, false, 7),
+      shape(2, 60, 61, 26, 19, 3, true, 7),
+      shape(1, 9, 8, 18, 5, 4, false, 5),
+      shape(2, 6, 9, 17, 270, 2, true, 6),
+      shape(1, 8, 12, 8, 8, 7, false, 8),
+      shape(0, 4, 4, 16, 16, 3, false, 7),
   };
 }
 
 std::string describe(const ConvShape& s) {
   return std::to_string(s.n) + "x" + std::to_string(s.h) + "x" + std::to_string(s.w) + "x" +
-         std::to_string(s.in) + " -> " + std::to_string(s.out) + ", padding " + std::to_string(s.padding) +
-         (s.reflect ? ", mirrored" : "");
+         std::to_string(s.in) + " -> " + std::to_string(s.out) + ", kernel " + std::to_string(s.kernel_h) +
+         ", padding " + std::to_string(s.padding) + (s.reflect ? ", mirrored" : "");
 }
 
 TEST_CASE("Winograd's convolutions agree with the direct one in all passes") {
   for (const ConvShape& s : shapes()) {
     INFO(describe(s));
     const Passes<double> reference = run<double>(s, kDirect);
-    for (const int outputs : {2, 4, 6}) {
+    for (const int outputs : {2, 3, 4, 6}) {
+      if (!winograd_fits(s, outputs)) continue;
       INFO("tiles of " << outputs);
       const Passes<double> wide = run<double>(s, outputs);
       const Passes<float> narrow = run<float>(s, outputs);
@@ -137,7 +150,7 @@ TEST_CASE("Winograd's convolutions agree with the direct one in all passes") {
 TEST_CASE("convolutions have the same bits for any number of threads") {
   for (const ConvShape& s : shapes()) {
     INFO(describe(s));
-    for (const int outputs : {kDirect, 4}) {
+    for (const int outputs : {kDirect, winograd_fits(s, 3) ? 3 : 4}) {
       const auto on = [&](int threads) {
         const ThreadsGuard guard(threads);
         return run<float>(s, outputs);
