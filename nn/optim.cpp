@@ -1,5 +1,6 @@
 #include "nn/optim.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "core/parallel.h"
@@ -18,10 +19,10 @@ struct AdamCoefficients {
   double eps;
 };
 
-// One parameter; the moments are updated in place.
+/// Elements [begin, end) of one parameter; the moments are updated in place.
 template <class T>
-void adam_update(Tensor parameter, const Tensor& grad, Tensor moment1, Tensor moment2,
-                 const AdamCoefficients& c) {
+void adam_update(Tensor& parameter, const Tensor& grad, Tensor& moment1, Tensor& moment2,
+                 const AdamCoefficients& c, int64_t begin, int64_t end) {
   T* p = parameter.data<T>();
   const T* g = grad.data<T>();
   T* m = moment1.data<T>();
@@ -33,13 +34,11 @@ void adam_update(Tensor parameter, const Tensor& grad, Tensor moment1, Tensor mo
   const T step_size = static_cast<T>(c.step_size);
   const T root = static_cast<T>(c.root_correction2);
   const T eps = static_cast<T>(c.eps);
-  parallel_blocks(parameter.numel(), kBlock, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) {
-      m[i] = beta1 * m[i] + rest1 * g[i];
-      v[i] = beta2 * v[i] + rest2 * g[i] * g[i];
-      p[i] -= step_size * m[i] / (std::sqrt(v[i]) / root + eps);
-    }
-  });
+  for (int64_t i = begin; i < end; ++i) {
+    m[i] = beta1 * m[i] + rest1 * g[i];
+    v[i] = beta2 * v[i] + rest2 * g[i] * g[i];
+    p[i] -= step_size * m[i] / (std::sqrt(v[i]) / root + eps);
+  }
 }
 
 }  // namespace
@@ -56,20 +55,40 @@ Adam::Adam(std::vector<NamedTensor> parameters, const AdamOptions& options)
 
 void Adam::step(double rate_factor) {
   const double rate = options_.learning_rate * rate_factor;
+  struct Update {
+    size_t parameter;
+    Tensor grad;
+    AdamCoefficients coefficients;
+  };
+  struct Block {
+    size_t update;
+    int64_t begin;
+  };
+  std::vector<Update> updates;
+  std::vector<Block> blocks;
   for (size_t i = 0; i < parameters_.size(); ++i) {
-    const Tensor& parameter = parameters_[i].tensor;
-    const Tensor grad = parameter.grad();
+    const Tensor grad = parameters_[i].tensor.grad();
     if (!grad.defined()) continue;
     const auto t = static_cast<double>(++*steps_[i].tensor.data<int64_t>());
-    const AdamCoefficients coefficients{.beta1 = options_.beta1,
+    for (int64_t begin = 0; begin < grad.numel(); begin += kBlock) blocks.push_back({updates.size(), begin});
+    updates.push_back({i, grad,
+                       AdamCoefficients{.beta1 = options_.beta1,
                                         .beta2 = options_.beta2,
                                         .step_size = rate / (1.0 - std::pow(options_.beta1, t)),
                                         .root_correction2 = std::sqrt(1.0 - std::pow(options_.beta2, t)),
-                                        .eps = options_.eps};
-    dispatch_floating("adam", parameter.dtype(), [&]<class T>() {
-      adam_update<T>(parameter, grad, moments1_[i].tensor, moments2_[i].tensor, coefficients);
-    });
+                                        .eps = options_.eps}});
   }
+  // All parameters in one parallel loop: most are too small to share among threads.
+  parallel_for(static_cast<int64_t>(blocks.size()), [&](int64_t unit) {
+    const Block& block = blocks[static_cast<size_t>(unit)];
+    const Update& update = updates[block.update];
+    Tensor& parameter = parameters_[update.parameter].tensor;
+    dispatch_floating("adam", parameter.dtype(), [&]<class T>() {
+      adam_update<T>(parameter, update.grad, moments1_[update.parameter].tensor,
+                     moments2_[update.parameter].tensor, update.coefficients, block.begin,
+                     std::min(block.begin + kBlock, parameter.numel()));
+    });
+  });
   ++*step_count_.tensor.data<int64_t>();
 }
 

@@ -49,7 +49,11 @@ struct PackedWeights {
         return;
       }
       for (int64_t r = 0; r < end - begin; ++r) {
-        for (int64_t j = 0; j < valid; ++j) to[r * width + j] = from[r * row_stride + j * column_stride];
+        if (column_stride == 1) {
+          std::copy_n(from + r * row_stride, valid, to + r * width);
+        } else {
+          for (int64_t j = 0; j < valid; ++j) to[r * width + j] = from[r * row_stride + j * column_stride];
+        }
         std::fill(to + r * width + valid, to + (r + 1) * width, T{});
       }
     });
