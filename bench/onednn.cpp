@@ -11,11 +11,13 @@
 
 #include "core/check/machine.h"
 #include "core/clock.h"
+#include "core/file.h"
 #include "core/kernels/direct.h"
 #include "core/kernels/winograd.h"
 #include "core/parallel.h"
 #include "core/random.h"
 #include "core/tensor.h"
+#include "data/chart.h"
 
 namespace opaline::bench {
 namespace {
@@ -195,7 +197,28 @@ struct Arguments {
   int64_t batch = 2;
   int repeats = 7;
   int threads = 0;
+  std::string plot;
 };
+
+/// Time against error of one way to do a pass, over the layers.
+using Points = std::map<std::string, ChartSeries>;
+
+/// A chart a pass.
+std::string draw(const std::map<ConvPass, Points>& passes) {
+  constexpr int kWidth = 720, kHeight = 220;
+  std::vector<std::string> charts;
+  for (const auto& [pass, points] : passes) {
+    std::vector<ChartSeries> series;
+    for (const auto& [name, one] : points) series.push_back(one);
+    charts.push_back(render_chart(series, {.title = std::string(to_string(pass)),
+                                           .x_label = "time / direct products at the machine's peak",
+                                           .log_y = true,
+                                           .lines = false,
+                                           .width = kWidth,
+                                           .height = kHeight}));
+  }
+  return chart_sheet(charts, 1, kWidth, kHeight);
+}
 
 void run(const Arguments& arguments) {
   set_num_threads(arguments.threads);
@@ -209,6 +232,12 @@ void run(const Arguments& arguments) {
   fmt::print(
       "| layer | pass | way | ms | GFLOP/s | of peak | error | ratio "
       "|\n|---|---|---|---:|---:|---:|---:|---:|\n");
+  const std::map<std::string, std::string> colours{{"opaline direct", "#08519c"},
+                                                   {"opaline F(2x2)", "#3182bd"},
+                                                   {"opaline F(4x4)", "#6baed6"},
+                                                   {"oneDNN direct", "#a63603"},
+                                                   {"oneDNN Winograd", "#fd8d3c"}};
+  std::map<ConvPass, Points> plot;
   struct Size {
     int64_t size, in, out;
   };
@@ -236,19 +265,24 @@ void run(const Arguments& arguments) {
                                                                    : layer.dw_wide;
       for (const Contender& c : contenders) {
         c.finish();
-        const double mine = medians[c.name];
+        const double mine = medians[c.name], size_of_error = error(c.result, reference);
+        ChartSeries& points = plot[pass][c.name];
+        points.name = c.name;
+        points.colour = colours.at(c.name);
+        points.points.push_back({mine * machine.gflops / work, size_of_error});
         // Ours against oneDNN's of the same kind, and its direct one where it has no Winograd.
         std::string peer = c.name == "opaline direct" ? "oneDNN direct" : "oneDNN Winograd";
         if (!medians.contains(peer)) peer = "oneDNN direct";
         const bool compared = c.name.starts_with("opaline") && medians.contains(peer);
         fmt::print("| {}, {} -> {} | {} | {} | {:.2f} | {:.0f} | {:.0f} % | {:.1e} | {} |\n", size.size,
                    size.in, size.out, to_string(pass), c.name, 1e3 * mine, work / mine,
-                   100.0 * work / mine / machine.gflops, error(c.result, reference),
+                   100.0 * work / mine / machine.gflops, size_of_error,
                    compared ? fmt::format("{:.2f} of {}", medians[peer] / mine, peer.substr(7)) : "");
         std::fflush(stdout);
       }
     }
   }
+  if (!arguments.plot.empty()) write_file_atomically(arguments.plot, draw(plot));
 }
 
 }  // namespace
@@ -265,6 +299,7 @@ int main(int argc, char** argv) {
   app.add_option("--batch", arguments.batch, "Images")->check(CLI::PositiveNumber)->capture_default_str();
   app.add_option("--repeats", arguments.repeats, "Turns")->check(CLI::PositiveNumber)->capture_default_str();
   app.add_option("--threads", arguments.threads, "0: all cores")->capture_default_str();
+  app.add_option("--plot", arguments.plot, "Time against error, as SVG into this file");
   CLI11_PARSE(app, argc, argv);
   try {
     opaline::bench::run(arguments);

@@ -217,14 +217,7 @@ nlohmann::ordered_json to_json(const std::vector<SceneResult>& results, const Ar
 std::string plot(const std::vector<SceneResult>& results) {
   constexpr int kWidth = 396, kHeight = 240, kColumns = 2;
   constexpr std::array<const char*, 3> kColours = {"#1f5fa8", "#c2532d", "#2e8b57"};
-  const int rows = (static_cast<int>(results.size()) + kColumns - 1) / kColumns;
-  std::string svg = fmt::format(
-      "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {0} {1}' width='{0}' height='{1}' "
-      "font-family='sans-serif'>\n<style>.title {{ font-size: 13px; font-weight: 600; fill: #1c2733; }} "
-      ".tick {{ "
-      "font-size: 11px; fill: #5a6876; }} .grid {{ stroke: #e6ebf0; }} .axis {{ stroke: #8b98a5; }}</style>\n"
-      "<rect width='{0}' height='{1}' fill='#ffffff'/>\n",
-      kColumns * kWidth, rows * kHeight);
+  std::vector<std::string> charts;
   for (size_t k = 0; k < results.size(); ++k) {
     std::vector<ChartSeries> series;
     for (size_t i = 0; i < kColours.size(); ++i) {
@@ -239,16 +232,14 @@ std::string plot(const std::vector<SceneResult>& results) {
     series.push_back({.name = "slope -1",
                       .colour = "#8b98a5",
                       .points = {{from.x, 2.0 * from.y}, {to.x, 2.0 * from.y * from.x / to.x}}});
-    svg += fmt::format("<g transform='translate({} {})'>{}</g>\n", static_cast<int>(k) % kColumns * kWidth,
-                       static_cast<int>(k) / kColumns * kHeight,
-                       render_chart(series, {.title = fmt::format("{}: MSE", results[k].scene->name),
-                                             .x_label = "CPU seconds",
-                                             .log_x = true,
-                                             .log_y = true,
-                                             .width = kWidth,
-                                             .height = kHeight}));
+    charts.push_back(render_chart(series, {.title = fmt::format("{}: MSE", results[k].scene->name),
+                                           .x_label = "CPU seconds",
+                                           .log_x = true,
+                                           .log_y = true,
+                                           .width = kWidth,
+                                           .height = kHeight}));
   }
-  return svg + "</svg>\n";
+  return chart_sheet(charts, kColumns, kWidth, kHeight);
 }
 
 void run_bench_render(Arguments a, bool spp_given, bool error_given, bool size_given) {

@@ -111,6 +111,21 @@ std::string draw_series(const ChartSeries& series, const ChartOptions& options, 
 
 }  // namespace
 
+std::string chart_sheet(const std::vector<std::string>& charts, int columns, int width, int height) {
+  const int count = static_cast<int>(charts.size()), rows = (count + columns - 1) / columns;
+  std::string svg = fmt::format(
+      "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {0} {1}' width='{0}' height='{1}' "
+      "font-family='sans-serif'>\n<style>.title {{ font-size: 13px; font-weight: 600; fill: #1c2733; }} "
+      ".tick {{ font-size: 11px; fill: #5a6876; }} .grid {{ stroke: #e6ebf0; }} .axis {{ stroke: #8b98a5; }}"
+      "</style>\n<rect width='{0}' height='{1}' fill='#ffffff'/>\n",
+      std::min(count, columns) * width, rows * height);
+  for (int k = 0; k < count; ++k) {
+    svg += fmt::format("<g transform='translate({} {})'>{}</g>\n", k % columns * width, k / columns * height,
+                       charts[static_cast<size_t>(k)]);
+  }
+  return svg + "</svg>\n";
+}
+
 std::string escape_html(std::string_view text) {
   std::string out;
   for (const char c : text) {

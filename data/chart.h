@@ -49,6 +49,9 @@ struct BarOptions {
 std::string render_histogram(const std::vector<int64_t>& counts, const std::string& colour,
                              const BarOptions& options);
 
+/// A file of its own: charts of `width` x `height`, `columns` in a row, on white, with the styles they use.
+std::string chart_sheet(const std::vector<std::string>& charts, int columns, int width, int height);
+
 /// Text with &, <, > and quotes escaped.
 std::string escape_html(std::string_view text);
 

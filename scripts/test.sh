@@ -29,7 +29,7 @@ if ! $quick; then
   # the latter, so only std::thread code runs there.
   step "address and undefined behaviour"
   cmake --preset asan >/dev/null
-  programs=(test_core test_core_ops test_nn test_data test_data_render test_fuzz)
+  programs=(test_core test_core_kernels test_core_ops test_nn test_data test_data_render test_fuzz)
   cmake --build --preset asan --target "${programs[@]}"
   for program in "${programs[@]}"; do
     echo "$program"

@@ -518,16 +518,27 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
   // Many channels: threads share the sums, each owner of some frequencies, and transform every block
   // together.
   constexpr int64_t kSharedBlock = 256, kTilesPerUnit = 16;
+  constexpr int64_t kPerFlush = 32;  // blocks summed in T before double takes over
   const WeightSums<T> work(k, s, x, dy, kSharedBlock);
+  const int64_t count = (work.grid().count + kSharedBlock - 1) / kSharedBlock;
   const Scratch<T> a(work.a_size()), b(work.b_size()), sums(work.sums_size());
-  for (int64_t first = 0; first < work.grid().count; first += kSharedBlock) {
-    const int64_t count = std::min(kSharedBlock, work.grid().count - first);
-    parallel_blocks(count, kTilesPerUnit, [&](int64_t begin, int64_t end) {
+  const Scratch<double> total(count > kPerFlush ? work.sums_size() : 0);
+  for (int64_t i = 0; i < count; ++i) {
+    const int64_t first = i * kSharedBlock, tiles = std::min(kSharedBlock, work.grid().count - first);
+    parallel_blocks(tiles, kTilesPerUnit, [&](int64_t begin, int64_t end) {
       work.transform(first + begin, end - begin, begin, a.data(), b.data());
     });
     parallel_for(work.frequencies() * work.panels(), [&](int64_t unit) {
-      work.multiply(unit / work.panels(), unit % work.panels(), count, a.data(), b.data(), first > 0,
+      work.multiply(unit / work.panels(), unit % work.panels(), tiles, a.data(), b.data(), i % kPerFlush > 0,
                     sums.data());
+    });
+    const bool last = i + 1 == count;
+    if (count <= kPerFlush || ((i + 1) % kPerFlush != 0 && !last)) continue;
+    parallel_blocks(work.sums_size(), 1 << 14, [&](int64_t begin, int64_t end) {
+      for (int64_t j = begin; j < end; ++j) {
+        total.data()[j] = (i < kPerFlush ? 0.0 : total.data()[j]) + static_cast<double>(sums.data()[j]);
+        if (last) sums.data()[j] = static_cast<T>(total.data()[j]);
+      }
     });
   }
   work.finish(sums.data(), dweight);
