@@ -30,7 +30,7 @@ struct PackedWeights {
         bias(panels * width),
         has_bias(bias_values != nullptr) {
     bias.zero();
-    if (has_bias) std::copy_n(bias_values, columns, bias.data());
+    if (bias_values != nullptr) std::copy_n(bias_values, columns, bias.data());
   }
 
   const T* panel(int64_t p) const { return values.data() + p * kernel_h * run * width; }
