@@ -1,0 +1,183 @@
+// The gradient of the weight by Winograd's algorithm.
+#include <algorithm>
+
+#include "core/kernels/scratch.h"
+#include "core/kernels/tile.h"
+#include "core/kernels/winograd.h"
+#include "core/kernels/winograd_tiling.h"
+#include "core/parallel.h"
+
+namespace opaline::kernels {
+namespace {
+
+/// The gradient of the weight in the transformed domain: for each frequency out x in sums over tiles of the
+/// transformed gradient times the transformed input.
+template <class T>
+class WeightSums {
+ public:
+  WeightSums(const WinogradKernels<T>& k, const ConvShape& s, Parts<const T> x, const T* dy, int64_t block)
+      : k_(k),
+        s_(s),
+        blocks_(k, s.kernel_h, s.in),
+        x_(sources(blocks_, images(s, x), s.padding)),
+        dy_{s.output(dy), 0, 0, 0},
+        grid_(k.outputs, s.n, s.out_h(), s.out_w()),
+        width_(2 * k.lanes),
+        frequencies_(k.tile * k.tile),
+        a_{block * round_up(s.out, k.lanes) + k.lanes, block * k.lanes, k.lanes},
+        b_{block * round_up(blocks_.total(), width_) + k.lanes, block * width_, width_} {}
+
+  const TileGrid& grid() const { return grid_; }
+  int64_t frequencies() const { return frequencies_; }
+  /// Elements of the transformed gradients (a) and inputs (b) of a block, and of the sums.
+  int64_t a_size() const { return frequencies_ * a_.frequency; }
+  int64_t b_size() const { return frequencies_ * b_.frequency; }
+  int64_t sums_size() const { return frequencies_ * sums_frequency(); }
+  int64_t sums_frequency() const { return s_.out * blocks_.total() + k_.lanes; }
+  int64_t panels() const { return (blocks_.total() + width_ - 1) / width_; }
+
+  /// Tiles [first, first + count) of the grid into the slots from `slot` on.
+  void transform(int64_t first, int64_t count, int64_t slot, T* a, T* b) const {
+    const Scratch<T> patch(k_.tile * k_.tile * std::max(widest(x_), s_.out));
+    transform_inputs(k_, x_, grid_, first, count, patch.data(), b + slot * width_, width_, b_);
+    transform_tiles(dy_, grid_, first, count, k_.outputs, patch.data(), a + slot * k_.lanes, k_.lanes,
+                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
+                      k_.output_gradient(d, row_stride, pixel_stride, s_.out, to, a_);
+                    });
+  }
+
+  /// sums (+)= products of the first `count` tiles of a block, for a frequency and a panel of inputs.
+  void multiply(int64_t f, int64_t panel, int64_t count, const T* a, const T* b, bool accumulate,
+                T* sums) const {
+    const Tiles<T>& gemm = tiles<T>();
+    OuterTile<T> t;
+    t.a_stride = k_.lanes;
+    t.b_stride = width_;
+    t.c_stride = blocks_.total();
+    t.columns = std::min(width_, blocks_.total() - panel * width_);
+    constexpr int64_t kPiece = 128;  // tiles whose panel stays in the innermost cache
+    for (int64_t first = 0; first < count; first += kPiece) {
+      t.b = b + f * b_.frequency + panel * b_.panel + first * width_;
+      t.pixels = std::min(kPiece, count - first);
+      t.accumulate = accumulate || first > 0;
+      for (int64_t o = 0; o < s_.out; o += gemm.rows) {
+        t.a = a + f * a_.frequency + o / k_.lanes * a_.panel + o % k_.lanes + first * k_.lanes;
+        t.rows = std::min(gemm.rows, s_.out - o);
+        t.c = sums + f * sums_frequency() + o * blocks_.total() + panel * width_;
+        gemm.outer(t);
+      }
+    }
+  }
+
+  /// The taps' gradient from the sums.
+  void finish(const T* sums, T* dweight) const {
+    const int64_t kernel = s_.kernel_h * s_.kernel_w, taps = k_.taps * k_.taps;
+    parallel_blocks(s_.out, 4, [&](int64_t first, int64_t last) {
+      const Scratch<T> filters(k_.lanes * taps);
+      for (int64_t o = first; o < last; ++o) {
+        for (int64_t i = 0; i < s_.in; i += k_.lanes) {
+          const int64_t count = std::min(k_.lanes, s_.in - i);
+          T* const to = dweight + (o * s_.in + i) * kernel;
+          for (int64_t block = 0; block < blocks_.count(); ++block) {
+            const T* const from = sums + o * blocks_.total() + block * blocks_.channels + i;
+            const bool whole = kernel == taps;
+            k_.weight_gradient(from, sums_frequency(), count, whole ? to : filters.data(), taps);
+            for (int64_t t = 0; t < taps && !whole; ++t) {
+              const int64_t tap = blocks_.tap(block, t);
+              if (tap < 0) continue;
+              for (int64_t j = 0; j < count; ++j) to[j * kernel + tap] = filters.data()[j * taps + t];
+            }
+          }
+        }
+      }
+    });
+  }
+
+ private:
+  const WinogradKernels<T>& k_;
+  const ConvShape& s_;
+  KernelBlocks blocks_;
+  std::vector<Source<T>> x_;
+  Source<T> dy_;
+  TileGrid grid_;
+  int64_t width_, frequencies_;
+  Frequencies a_, b_;
+};
+
+}  // namespace
+
+template <class T>
+void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight) {
+  const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
+  if (s.n == 0) {
+    std::fill_n(dweight, s.out * s.in * s.kernel_h * s.kernel_w, T{});
+    return;
+  }
+  // Few channels: a group of tiles has sums of its own, which stay near the core with the block that it works
+  // on.
+  constexpr int64_t kOwnSumsBytes = 640 << 10, kOwnBlock = 32, kGroups = 16, kLeastBlocks = 32;
+  const int64_t blocks = (TileGrid(outputs, s.n, s.out_h(), s.out_w()).count + kOwnBlock - 1) / kOwnBlock;
+  if (blocks >= kLeastBlocks &&
+      k.tile * k.tile * s.in * s.out * static_cast<int64_t>(sizeof(T)) <= kOwnSumsBytes) {
+    const WeightSums<T> work(k, s, x, dy, kOwnBlock);
+    const int64_t per_group = (blocks + kGroups - 1) / kGroups;
+    const int64_t groups = (blocks + per_group - 1) / per_group;
+    const Scratch<T> sums(groups * work.sums_size());
+    parallel_for(groups, [&](int64_t group) {
+      const Scratch<T> a(work.a_size()), b(work.b_size());
+      for (int64_t block = group * per_group; block < std::min(blocks, (group + 1) * per_group); ++block) {
+        const int64_t first = block * kOwnBlock, count = std::min(kOwnBlock, work.grid().count - first);
+        work.transform(first, count, 0, a.data(), b.data());
+        for (int64_t f = 0; f < work.frequencies(); ++f) {
+          for (int64_t p = 0; p < work.panels(); ++p) {
+            work.multiply(f, p, count, a.data(), b.data(), block > group * per_group,
+                          sums.data() + group * work.sums_size());
+          }
+        }
+      }
+    });
+    parallel_blocks(work.sums_size(), 1 << 14, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        double total = 0.0;
+        for (int64_t g = 0; g < groups; ++g) {
+          total += static_cast<double>(sums.data()[g * work.sums_size() + i]);
+        }
+        sums.data()[i] = static_cast<T>(total);
+      }
+    });
+    work.finish(sums.data(), dweight);
+    return;
+  }
+  // Many channels: threads share the sums, each owner of some frequencies, and transform every block
+  // together.
+  constexpr int64_t kSharedBlock = 256, kTilesPerUnit = 16;
+  constexpr int64_t kPerFlush = 32;  // blocks summed in T before double takes over
+  const WeightSums<T> work(k, s, x, dy, kSharedBlock);
+  const int64_t count = (work.grid().count + kSharedBlock - 1) / kSharedBlock;
+  const Scratch<T> a(work.a_size()), b(work.b_size()), sums(work.sums_size());
+  const Scratch<double> total(count > kPerFlush ? work.sums_size() : 0);
+  for (int64_t i = 0; i < count; ++i) {
+    const int64_t first = i * kSharedBlock, tiles = std::min(kSharedBlock, work.grid().count - first);
+    parallel_blocks(tiles, kTilesPerUnit, [&](int64_t begin, int64_t end) {
+      work.transform(first + begin, end - begin, begin, a.data(), b.data());
+    });
+    parallel_for(work.frequencies() * work.panels(), [&](int64_t unit) {
+      work.multiply(unit / work.panels(), unit % work.panels(), tiles, a.data(), b.data(), i % kPerFlush > 0,
+                    sums.data());
+    });
+    const bool last = i + 1 == count;
+    if (count <= kPerFlush || ((i + 1) % kPerFlush != 0 && !last)) continue;
+    parallel_blocks(work.sums_size(), 1 << 14, [&](int64_t begin, int64_t end) {
+      for (int64_t j = begin; j < end; ++j) {
+        total.data()[j] = (i < kPerFlush ? 0.0 : total.data()[j]) + static_cast<double>(sums.data()[j]);
+        if (last) sums.data()[j] = static_cast<T>(total.data()[j]);
+      }
+    });
+  }
+  work.finish(sums.data(), dweight);
+}
+
+template void winograd_weight_gradient(int, const ConvShape&, Parts<const float>, const float*, float*);
+template void winograd_weight_gradient(int, const ConvShape&, Parts<const double>, const double*, double*);
+
+}  // namespace opaline::kernels
