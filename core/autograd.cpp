@@ -3,6 +3,7 @@
 #include <unordered_map>
 #include <unordered_set>
 
+#include "core/numerics.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -12,6 +13,24 @@ bool& grad_mode() {
   thread_local bool enabled = true;
   return enabled;
 }
+
+bool& recompute_mode() {
+  thread_local bool on = false;
+  return on;
+}
+
+/// Sets a flag for as long as it lives.
+class FlagGuard {
+ public:
+  FlagGuard(bool& flag, bool value) : flag_(flag), before_(flag) { flag_ = value; }
+  ~FlagGuard() { flag_ = before_; }
+  FlagGuard(const FlagGuard&) = delete;
+  FlagGuard& operator=(const FlagGuard&) = delete;
+
+ private:
+  bool& flag_;
+  bool before_;
+};
 
 /// a += b, in place: `a` is a gradient buffer that backward() owns.
 void accumulate(Tensor& a, const Tensor& b) {
@@ -85,6 +104,39 @@ Tensor record(std::string_view operation, Tensor result, const std::vector<Tenso
   result.set_node(std::make_shared<Node>(Node{operation, std::move(edges), std::move(backward)}));
   if (recompute) result.set_recompute(std::move(recompute), inputs);
   return result;
+}
+
+bool recomputing() {
+  return recompute_mode();
+}
+
+Tensor checkpoint(std::string_view operation, CheckpointFunction function,
+                  const std::vector<Tensor>& inputs) {
+  Tensor result = function(inputs);
+  if (!result.requires_grad()) return result;
+  // The graph that the function recorded told whether a gradient is wanted, and goes.
+  result = result.detach();
+  std::vector<Tensor> kept;
+  for (const Tensor& input : inputs) kept.push_back(input.defined() ? input.saved() : Tensor());
+  return record(operation, result, inputs,
+                [function = std::move(function), kept = std::move(kept), plan = current_conv_plan()](
+                    const Tensor& grad, std::span<const char> needs) {
+                  std::vector<Tensor> leaves;
+                  for (size_t i = 0; i < kept.size(); ++i) {
+                    leaves.push_back(kept[i].defined() ? kept[i].restored().detach() : Tensor());
+                    if (needs[i]) leaves[i].set_requires_grad(true);
+                  }
+                  const NumericsGuard numerics(plan);
+                  Tensor again;
+                  {
+                    const FlagGuard recording(grad_mode(), true), recompute(recompute_mode(), true);
+                    again = function(leaves);
+                  }
+                  backward(again, grad);
+                  std::vector<Tensor> grads;
+                  for (const Tensor& leaf : leaves) grads.push_back(leaf.defined() ? leaf.grad() : Tensor());
+                  return grads;
+                });
 }
 
 void backward(const Tensor& root, const Tensor& seed) {

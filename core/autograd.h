@@ -52,6 +52,17 @@ bool should_record(std::span<const Tensor> inputs);
 Tensor record(std::string_view operation, Tensor result, const std::vector<Tensor>& inputs,
               BackwardFunction backward, Recompute recompute = nullptr);
 
+/// `function` of the inputs without keeping what it computes on the way: backward() computes it once more
+/// from the inputs (activation checkpointing, torch.utils.checkpoint). Results and gradients are those
+/// without it to the last bit, so long as the function depends on its inputs and parameters alone.
+/// `operation` (a static string) names the result's node.
+using CheckpointFunction = std::function<Tensor(std::span<const Tensor> inputs)>;
+Tensor checkpoint(std::string_view operation, CheckpointFunction function, const std::vector<Tensor>& inputs);
+
+/// Whether checkpoint() computes its function again on this thread: running statistics have been updated
+/// then.
+bool recomputing();
+
 /// Adds d(sum(root * seed))/d(leaf) to every leaf's grad(). An undefined seed means ones; root must then be a
 /// scalar. The graph is consumed: saved tensors are freed on the way.
 void backward(const Tensor& root, const Tensor& seed = {});

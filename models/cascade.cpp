@@ -1,5 +1,6 @@
 #include "models/cascade.h"
 
+#include "core/autograd.h"
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
 
@@ -39,21 +40,26 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
   const bool sss = wanted.sss || wanted.reconstruction;
   const int64_t height = input.image.size(1);
   const int64_t width = input.image.size(2);
+  const auto run = [&](std::string_view name, std::vector<Tensor> inputs) {
+    const auto forward = [&net = network(name)](std::span<const Tensor> parts) {
+      return net.forward(parts.size() == 1 ? parts.front() : concat({parts.begin(), parts.end()}));
+    };
+    return options_.checkpoint ? checkpoint(name, forward, inputs) : forward(inputs);
+  };
   CascadeOutput out;
-  if (wanted.normal || sss) out.normal = network("normal").forward(input.image);
-  if (wanted.depth || sss) out.depth = network("depth").forward(input.image);
-  if (wanted.illumination || sss) out.illumination = network("illumination").forward(input.image);
+  if (wanted.normal || sss) out.normal = run("normal", {input.image});
+  if (wanted.depth || sss) out.depth = run("depth", {input.image});
+  if (wanted.illumination || sss) out.illumination = run("illumination", {input.image});
   if (!sss) return out;
 
-  const Tensor map = network("illumination_decoder").forward(out.illumination);
+  const Tensor map = run("illumination_decoder", {out.illumination});
   const bool fits = map.size(1) == height && map.size(2) == width;
   out.illumination_map = fits ? map : upsample_bilinear(map, {.height = height, .width = width});
-  out.sss = network("sss").forward(concat({out.illumination_map, out.normal, out.depth, input.image}));
+  out.sss = run("sss", {out.illumination_map, out.normal, out.depth, input.image});
   if (!wanted.reconstruction) return out;
 
   if (!input.bsdf.defined()) fail("cascade", "the reconstruction needs the pure-BSDF images");
-  out.reconstruction =
-      network("reconstruction").forward(concat({input.bsdf, broadcast_over_image(out.sss, height, width)}));
+  out.reconstruction = run("reconstruction", {input.bsdf, broadcast_over_image(out.sss, height, width)});
   return out;
 }
 

@@ -19,6 +19,7 @@ struct CascadeOptions {
   NetworkOptions network = {};
   int stage = 2;               ///< 1: normal, depth, illumination only
   bool reconstruction = true;  ///< have the reconstruction network too (stage 2)
+  bool checkpoint = false;  ///< in the backward pass, compute each network once more instead of keeping all
 };
 
 /// Which results to compute; those that they need are computed (and given) too.

@@ -1,5 +1,7 @@
 #include "nn/norm.h"
 
+#include "core/autograd.h"
+
 namespace opaline {
 
 Tensor BatchNorm::forward(const Tensor& x) {
@@ -10,7 +12,7 @@ Tensor BatchNorm::forward(const Tensor& x) {
   Tensor y = batch_norm(
       x, weight_, bias_, running_mean_, running_var_,
       {.training = training(), .momentum = config_.momentum, .eps = config_.eps, .relu = config_.relu});
-  if (training()) ++*batches_.data<int64_t>();
+  if (training() && !recomputing()) ++*batches_.data<int64_t>();
   return y;
 }
 

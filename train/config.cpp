@@ -117,6 +117,7 @@ TrainConfig read_train(const TomlTable& table, Variant variant, std::vector<std:
   train.eps = table.real("eps", train.eps, {.min = 1e-30, .max = 1.0});
   train.numerics =
       parse_numerics(table.choice("numerics", to_string(train.numerics), kNumerics)).value_or(train.numerics);
+  train.activation_checkpointing = table.boolean("activation_checkpointing", train.activation_checkpointing);
   const std::string schedule =
       table.choice("schedule", variant == Variant::kPaper ? "step" : "epoch", kSchedules);
   train.schedule = schedule == "step"    ? Schedule::kStep
@@ -206,8 +207,13 @@ std::map<std::string, std::string> flat_keys(std::string_view text) {
 }
 
 bool decides_numbers(const std::string& key) {
-  static const std::set<std::string> free = {"data.path",      "data.threads",  "data.prefetch",
-                                             "data.cache_mib", "train.threads", "train.keep"};
+  static const std::set<std::string> free = {"data.path",
+                                             "data.threads",
+                                             "data.prefetch",
+                                             "data.cache_mib",
+                                             "train.threads",
+                                             "train.keep",
+                                             "train.activation_checkpointing"};
   return !free.contains(key) && !key.starts_with("render.");
 }
 
@@ -228,7 +234,8 @@ CascadeOptions cascade_options(const RunConfig& config, int stage) {
                       .image_size = config.model.image_size,
                       .width = config.model.width},
           .stage = stage,
-          .reconstruction = config.model.reconstruction && config.loss.reconstruction.weight > 0.0};
+          .reconstruction = config.model.reconstruction && config.loss.reconstruction.weight > 0.0,
+          .checkpoint = config.train.activation_checkpointing};
 }
 
 AdamOptions adam_options(const RunConfig& config, int stage) {

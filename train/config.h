@@ -63,6 +63,7 @@ struct TrainConfig {
   double beta2 = 0.999;
   double eps = 1e-8;
   Numerics numerics = Numerics::kBalanced;  ///< which algorithms convolutions may take (core/numerics.h)
+  bool activation_checkpointing = false;    ///< less memory for about a third more time (CascadeOptions)
   Schedule schedule = Schedule::kStep;
   int64_t log_every = 10;        ///< steps
   int64_t checkpoint_every = 0;  ///< steps, besides every epoch's end; 0: none

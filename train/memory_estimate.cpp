@@ -139,7 +139,8 @@ std::string describe(const MemoryEstimate& estimate, std::optional<int64_t> avai
   text += fmt::format("; {} is free", gib(*available));
   if (estimate.total() > *available) {
     text = "warning: " + text +
-           ". It will not suffice: lower train.micro_batch, data.cache_mib, data.prefetch or model.width";
+           ". It will not suffice: set train.activation_checkpointing, or lower train.micro_batch, "
+           "data.cache_mib, data.prefetch or model.width";
   }
   return text;
 }

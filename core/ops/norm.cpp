@@ -230,7 +230,7 @@ Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Ten
       if (!options.training) {
         norm->mean(j) = static_cast<double>(running_mean.data<T>()[j]);
         norm->variance(j) = static_cast<double>(running_var.data<T>()[j]);
-      } else if (tracked) {
+      } else if (tracked && !recomputing()) {
         T& m = running_mean.data<T>()[j];
         T& v = running_var.data<T>()[j];
         m = static_cast<T>((1.0 - options.momentum) * static_cast<double>(m) +

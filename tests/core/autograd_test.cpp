@@ -1,5 +1,6 @@
 #include "core/autograd.h"
 
+#include <algorithm>
 #include <catch2/catch.hpp>
 #include <thread>
 
@@ -177,6 +178,67 @@ TEST_CASE("long chains of cheap operations keep values on the way") {
     if (!y.recomputes()) ++kept;
   }
   CHECK(kept == 4);
+}
+
+/// w * x * x * .., in links that each keep a tensor.
+Tensor chain(const Tensor& x, const Tensor& w, int links) {
+  Tensor y = mul(x, w);
+  for (int i = 0; i < links; ++i) y = mul(y, x);
+  return y;
+}
+
+TEST_CASE("a checkpoint keeps its inputs alone and gives the same gradients to the bit") {
+  constexpr int64_t kCount = 1 << 16, kBytes = kCount * 8;
+  constexpr int kLinks = 16;
+  Tensor x = Tensor::full({kCount}, 1.1, DType::kFloat64), w = Tensor::full({kCount}, 0.7, DType::kFloat64);
+  x.set_requires_grad(true);
+  w.set_requires_grad(true);
+  const Tensor squared = square(x);
+  backward(sum(chain(squared, w, kLinks)));
+  const Tensor dx = x.grad(), dw = w.grad();
+  x.zero_grad();
+  w.zero_grad();
+
+  int calls = 0;
+  const CheckpointFunction once = [&](std::span<const Tensor> in) {
+    ++calls;
+    CHECK(recomputing() == (calls > 1));
+    return chain(in[0], w, kLinks);
+  };
+  const CheckpointFunction nested = [&](std::span<const Tensor> in) {
+    return checkpoint("inner", once, {in[0]});
+  };
+  const bool inner = GENERATE(false, true);
+  const int64_t before = tensor_pool().bytes_in_use();
+  Tensor loss = sum(checkpoint("chain", inner ? nested : once, {square(x)}));
+  CHECK(tensor_pool().bytes_in_use() - before < 3 * kBytes);
+  CHECK(calls == 1);
+  backward(loss);
+  CHECK(calls == (inner ? 3 : 2));
+  CHECK(!recomputing());
+  CHECK(std::ranges::equal(x.grad().values<double>(), dx.values<double>()));
+  CHECK(std::ranges::equal(w.grad().values<double>(), dw.values<double>()));
+}
+
+TEST_CASE("a checkpoint records nothing where no gradient is wanted") {
+  const Tensor x = Tensor::full({2}, 3.0, DType::kFloat64), w = leaf({5, 7});
+  int calls = 0;
+  const auto product = [&](std::span<const Tensor> in) {
+    ++calls;
+    return in.size() == 2 ? mul(in[0], in[1]) : mul(in[0], w);
+  };
+  CHECK(!checkpoint("product", product, {x, x}).requires_grad());
+  {
+    const NoGradGuard no_grad;
+    CHECK(!checkpoint("product", product, {x}).requires_grad());
+  }
+  calls = 0;
+  backward(sum(checkpoint("product", product, {x})));  // for the parameter alone
+  CHECK(calls == 2);
+  CHECK(w.grad().at(0) == 3.0);
+  CHECK(!x.grad().defined());
+  backward(sum(checkpoint("product", product, {x, w})));  // for one of two inputs
+  CHECK(w.grad().at(0) == 6.0);
 }
 
 TEST_CASE("a graph that is never walked dies with its root") {

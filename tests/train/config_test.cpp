@@ -160,7 +160,9 @@ TEST_CASE("a small micro-batch is a warning") {
 TEST_CASE("differences that decide the numbers are told from those that do not") {
   const std::string a = parse_run_config("", "a").text;
   const std::string b =
-      parse_run_config("[data]\nthreads = 2\npath = 'moved'\n[train]\nkeep = 9\n", "b").text;
+      parse_run_config(
+          "[data]\nthreads = 2\npath = 'moved'\n[train]\nkeep = 9\nactivation_checkpointing = true\n", "b")
+          .text;
   CHECK(config_differences(a, b).empty());
   const std::string c = parse_run_config("[train]\nseed = 3\n[loss]\nsss = { weight = 2 }\n", "c").text;
   const auto lines = config_differences(a, c);

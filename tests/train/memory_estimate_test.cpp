@@ -37,8 +37,10 @@ int64_t peak_of_step(const RunConfig& config, int stage, int size) {
 TEST_CASE("the estimate of memory is near what a step takes") {
   const auto [size, epochs2, stage] =
       GENERATE(table<int, int, int>({{32, 1, 2}, {64, 1, 2}, {96, 1, 2}, {64, 0, 1}}));
+  const bool checkpointing = GENERATE(false, true);
   const RunConfig config = config_of({"model.image_size=" + std::to_string(size), "data.prefetch=1",
-                                      "stage2.epochs=" + std::to_string(epochs2)});
+                                      "stage2.epochs=" + std::to_string(epochs2),
+                                      fmt::format("train.activation_checkpointing={}", checkpointing)});
   const MemoryEstimate estimate = estimate_memory(config, size, size);
   const auto peak = static_cast<double>(peak_of_step(config, stage, size));
   const auto total = static_cast<double>(estimate.total());

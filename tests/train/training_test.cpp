@@ -7,6 +7,7 @@
 
 #include "core/error.h"
 #include "core/file.h"
+#include "core/memory.h"
 #include "core/parallel.h"
 #include "nn/schedule.h"
 #include "tests/train/synthetic.h"
@@ -212,6 +213,34 @@ TEST_CASE("threads change nothing but the time") {
     }
     CHECK(log_without_wall(folder.path() / "1") == log_without_wall(folder.path() / threads));
   }
+}
+
+TEST_CASE("activation checkpointing changes nothing but time and memory") {
+  const TemporaryFolder folder("checkpointing");
+  for (const std::string on : {"false", "true"}) {
+    start_training(small_config({"train.activation_checkpointing=" + on, "stage2.epochs=1"}),
+                   quiet(folder.path() / on));
+  }
+  const auto kept = files_of(folder.path() / "false/checkpoints/step-9");
+  const auto again = files_of(folder.path() / "true/checkpoints/step-9");
+  REQUIRE(kept.size() == again.size());
+  for (const auto& [name, bytes] : kept) {
+    INFO(name);
+    if (name != "state.json") CHECK(again.at(name) == bytes);  // the state has the config
+  }
+  CHECK(log_without_wall(folder.path() / "false") == log_without_wall(folder.path() / "true"));
+
+  const auto peak = [](const std::string& on) {
+    const RunConfig config = small_config({"train.activation_checkpointing=" + on});
+    const Batch batch = first_scenes(config, 8);
+    Stage stage(config, 2);
+    const int64_t before = tensor_pool().bytes_in_use();
+    tensor_pool().reset_peak();
+    stage.step(
+        std::vector<int64_t>{8}, [&] { return batch; }, 1.0);
+    return static_cast<double>(tensor_pool().peak_bytes() - before);
+  };
+  CHECK(peak("true") < 0.7 * peak("false"));
 }
 
 TEST_CASE("four scenes can be learnt by heart, in either stage") {
