@@ -5,6 +5,7 @@
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/kernels/tile.cpp"
+#include <hwy/cache_control.h>
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
 
@@ -31,45 +32,53 @@ struct Piece {
   bool start;  // with the bias instead of what is there
 };
 
+/// A row of sums to memory, as far as there are columns; where `add`, onto what is there.
+template <class T, int kVectors, class V>
+HWY_INLINE HWY_ATTR void store(const V (&sums)[kVectors], int64_t columns, bool add, T* to) {
+  const hn::ScalableTag<T> d;
+  const auto lanes = static_cast<int64_t>(hn::Lanes(d));
+  for (int v = 0; v < kVectors; ++v, columns -= lanes, to += lanes) {
+    if (columns >= lanes) {
+      hn::StoreU(add ? hn::Add(hn::LoadU(d, to), sums[v]) : sums[v], d, to);
+    } else if (columns > 0) {
+      const auto mask = hn::FirstN(d, static_cast<size_t>(columns));
+      hn::BlendedStore(add ? hn::Add(hn::MaskedLoad(mask, d, to), sums[v]) : sums[v], mask, d, to);
+    }
+  }
+}
+
+// Every loop over rows is unrolled: sums that a variable indexes would live in memory.
+
 /// kM rows of a line from row `row` on, over a piece of the panel.
 template <class T, int kM, int kVectors>
 HWY_ATTR void dot(const DotTile<T>& t, int64_t line, int64_t row, const Piece& piece) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
-  V acc[kM][kVectors];
+  V column[kVectors], sums[kM][kVectors];
   for (int v = 0; v < kVectors; ++v) {
-    const V bias = piece.start && t.bias != nullptr ? hn::LoadU(d, t.bias + v * lanes) : hn::Zero(d);
-    for (int i = 0; i < kM; ++i) acc[i][v] = bias;
+    column[v] = piece.start && t.bias != nullptr ? hn::LoadU(d, t.bias + v * lanes) : hn::Zero(d);
+  }
+#pragma GCC unroll 16
+  for (int i = 0; i < kM; ++i) {
+    for (int v = 0; v < kVectors; ++v) sums[i][v] = column[v];
   }
   const T* const a = t.a + line * t.a_line + row * t.a_stride;
   const T* b = t.b + (piece.first * t.run + piece.begin) * kVectors * lanes;
   for (int64_t q = piece.first; q < piece.last; ++q) {
     const T* const run = a + q * t.a_run_stride;
     for (int64_t k = piece.begin; k < piece.end; ++k, b += kVectors * lanes) {
-      V column[kVectors];
       for (int v = 0; v < kVectors; ++v) column[v] = hn::Load(d, b + v * lanes);
 #pragma GCC unroll 16
       for (int i = 0; i < kM; ++i) {
         const V value = hn::Set(d, run[i * t.a_stride + k]);
-        for (int v = 0; v < kVectors; ++v) acc[i][v] = hn::MulAdd(value, column[v], acc[i][v]);
+        for (int v = 0; v < kVectors; ++v) sums[i][v] = hn::MulAdd(value, column[v], sums[i][v]);
       }
     }
   }
   T* const c = t.c + line * t.c_line + row * t.c_stride;
-  for (int v = 0; v < kVectors; ++v) {
-    const int64_t left = t.columns - v * lanes;
-    const auto mask = hn::FirstN(d, static_cast<size_t>(left < 0 ? 0 : left));
-    for (int i = 0; i < kM; ++i) {
-      T* const to = c + i * t.c_stride + v * lanes;
-      if (left >= lanes) {
-        hn::StoreU(piece.start ? acc[i][v] : hn::Add(hn::LoadU(d, to), acc[i][v]), d, to);
-      } else if (left > 0) {
-        hn::BlendedStore(piece.start ? acc[i][v] : hn::Add(hn::MaskedLoad(mask, d, to), acc[i][v]), mask, d,
-                         to);
-      }
-    }
-  }
+#pragma GCC unroll 16
+  for (int i = 0; i < kM; ++i) store<T, kVectors>(sums[i], t.columns, !piece.start, c + i * t.c_stride);
 }
 
 template <class T, int kM, int kVectors>
@@ -77,36 +86,28 @@ HWY_ATTR void outer(const OuterTile<T>& t) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   const auto lanes = static_cast<int64_t>(hn::Lanes(d));
-  V acc[kM][kVectors];
-  for (int v = 0; v < kVectors; ++v) {
-    for (int i = 0; i < kM; ++i) acc[i][v] = hn::Zero(d);
+  V row[kVectors], sums[kM][kVectors];
+#pragma GCC unroll 16
+  for (int i = 0; i < kM; ++i) {
+    for (int v = 0; v < kVectors; ++v) {
+      sums[i][v] = hn::Zero(d);
+      hwy::Prefetch(t.c + i * t.c_stride + v * lanes);  // for the sums at the end
+    }
   }
   for (int64_t y = 0; y < t.lines; ++y) {
     const T* a = t.a + y * t.a_line;
     const T* b = t.b + y * t.b_line;
     for (int64_t x = 0; x < t.pixels; ++x, a += t.a_stride, b += t.b_stride) {
-      V row[kVectors];
       for (int v = 0; v < kVectors; ++v) row[v] = hn::LoadU(d, b + v * lanes);
 #pragma GCC unroll 16
       for (int i = 0; i < kM; ++i) {
         const V value = hn::Set(d, a[i]);
-        for (int v = 0; v < kVectors; ++v) acc[i][v] = hn::MulAdd(value, row[v], acc[i][v]);
+        for (int v = 0; v < kVectors; ++v) sums[i][v] = hn::MulAdd(value, row[v], sums[i][v]);
       }
     }
   }
-  for (int v = 0; v < kVectors; ++v) {
-    const int64_t left = t.columns - v * lanes;
-    const auto mask = hn::FirstN(d, static_cast<size_t>(left < 0 ? 0 : left));
-    for (int i = 0; i < kM; ++i) {
-      T* const c = t.c + i * t.c_stride + v * lanes;
-      if (left >= lanes) {
-        hn::StoreU(t.accumulate ? hn::Add(hn::LoadU(d, c), acc[i][v]) : acc[i][v], d, c);
-      } else if (left > 0) {
-        hn::BlendedStore(t.accumulate ? hn::Add(hn::MaskedLoad(mask, d, c), acc[i][v]) : acc[i][v], mask, d,
-                         c);
-      }
-    }
-  }
+#pragma GCC unroll 16
+  for (int i = 0; i < kM; ++i) store<T, kVectors>(sums[i], t.columns, t.accumulate, t.c + i * t.c_stride);
 }
 
 template <class T, int kVectors, size_t... kI>
