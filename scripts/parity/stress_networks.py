@@ -92,8 +92,7 @@ def main():
                                         {"x": x.numpy(), "cotangent": cotangent.numpy()})
                     reference = compare.run_torch(model, x, cotangent, torch.float64)
                     narrow = compare.run_torch(model, x, cotangent, torch.float32)
-                    found = compare.run_opaline(arguments, name, mode, "float32", folder,
-                                                ["--numerics", arguments.numerics])
+                    found = compare.run_opaline(arguments, name, mode, "float32", arguments.numerics, folder)
                     with_input = kind not in FLAT or arguments.numerics == "strict"
                     peer = errors(narrow, reference, with_input)
                     ours = errors(found, reference, with_input)
