@@ -28,6 +28,12 @@ struct Image {
     return top >= 0 && left >= 0 && top + rows <= h && left + columns <= w;
   }
 
+  /// The pixel that stands at (row, column), which may lie outside; null for zeros.
+  const T* find(int64_t image, int64_t row, int64_t column) const {
+    if (row < -reflect || row >= h + reflect || column < -reflect || column >= w + reflect) return nullptr;
+    return pixel(image, reflected(row, h), reflected(column, w));
+  }
+
   /// Copies the pixels of the columns [left, left + columns) of a row to `to`, contiguously.
   void copy_row(int64_t image, int64_t row, int64_t left, int64_t columns, T* to) const {
     const bool mirrored = row < 0 || row >= h;
@@ -40,11 +46,10 @@ struct Image {
     const int64_t last = std::clamp<int64_t>(w - left, first, columns);
     const auto border = [&](int64_t begin, int64_t end) {
       for (int64_t j = begin; j < end; ++j) {
-        const int64_t column = left + j;
-        if (column < -reflect || column >= w + reflect) {
-          std::fill_n(to + j * channels, channels, T{});
+        if (const T* const from = find(image, row, left + j)) {
+          std::copy_n(from, channels, to + j * channels);
         } else {
-          std::copy_n(pixel(image, source, reflected(column, w)), channels, to + j * channels);
+          std::fill_n(to + j * channels, channels, T{});
         }
       }
     };
