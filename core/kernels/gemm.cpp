@@ -28,24 +28,27 @@ void column_sums(const T* x, int64_t rows, int64_t columns, double* sums) {
 template <class T>
 void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c) {
   const Tiles<T>& tile = tiles<T>();
-  constexpr int64_t kRows = 128, kBlockM = 64, kBlockN = 256;  // of a chunk and of a unit
-  constexpr int64_t kPerFlush = 32;                            // chunks summed in T before double takes over
+  constexpr int64_t kRows = 128, kBlockN = 256;  // of a chunk and of a unit
+  constexpr int64_t kPerFlush = 32;              // chunks summed in T before double takes over
+  // The more rows a unit has, the less it copies; but there should be units for several threads.
+  constexpr int64_t kUnits = 8;
+  const int64_t block_m = std::clamp<int64_t>(m * n / (kUnits * kBlockN) / 64 * 64, 64, 256);
   const int64_t width = tile.width();
-  const int64_t down = (m + kBlockM - 1) / kBlockM, across = (n + kBlockN - 1) / kBlockN;
+  const int64_t down = (m + block_m - 1) / block_m, across = (n + kBlockN - 1) / kBlockN;
   if (k == 0) std::fill_n(c, m * n, T{});
   if (k == 0 || m * n == 0) return;
   parallel_for(down * across, [&](int64_t unit) {
-    const int64_t i0 = unit % down * kBlockM, j0 = unit / down * kBlockN;
-    const int64_t rows = std::min(kBlockM, m - i0), columns = std::min(kBlockN, n - j0);
+    const int64_t i0 = unit % down * block_m, j0 = unit / down * kBlockN;
+    const int64_t rows = std::min(block_m, m - i0), columns = std::min(kBlockN, n - j0);
     const int64_t padded = (columns + width - 1) / width * width;
     const bool flushes = k > kRows * kPerFlush;
-    const Scratch<T> left(kRows * kBlockM), right(kRows * padded), sums(rows * padded);
+    const Scratch<T> left(kRows * block_m), right(kRows * padded), sums(rows * padded);
     const Scratch<double> total(flushes ? rows * padded : 0);
     for (int64_t begin = 0, chunk = 0; begin < k; begin += kRows, ++chunk) {
       const int64_t count = std::min(kRows, k - begin);
       // Copied, because rows of many columns would share few sets of the caches.
       for (int64_t r = 0; r < count; ++r) {
-        std::copy_n(a + (begin + r) * m + i0, rows, left.data() + r * kBlockM);
+        std::copy_n(a + (begin + r) * m + i0, rows, left.data() + r * block_m);
         const T* const from = b + (begin + r) * n + j0;
         for (int64_t j = 0; j < padded; j += width) {
           T* const to = right.data() + j * kRows + r * width;
@@ -55,7 +58,7 @@ void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c) {
         }
       }
       OuterTile<T> t;
-      t.a_stride = kBlockM;
+      t.a_stride = block_m;
       t.b_stride = width;
       t.pixels = count;
       t.c_stride = padded;
