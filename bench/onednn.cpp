@@ -12,6 +12,7 @@
 #include "core/check/machine.h"
 #include "core/clock.h"
 #include "core/file.h"
+#include "core/instruction_set.h"
 #include "core/kernels/direct.h"
 #include "core/kernels/winograd.h"
 #include "core/parallel.h"
@@ -302,6 +303,7 @@ int main(int argc, char** argv) {
   app.add_option("--plot", arguments.plot, "Time against error, as SVG into this file");
   CLI11_PARSE(app, argc, argv);
   try {
+    opaline::limit_instruction_set();
     opaline::bench::run(arguments);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "bench_onednn: %s\n", error.what());

@@ -10,6 +10,7 @@
 #include "core/check/machine.h"
 #include "core/check/op_case.h"
 #include "core/check/run.h"
+#include "core/instruction_set.h"
 #include "core/parallel.h"
 #include "train/graph.h"
 
@@ -130,6 +131,7 @@ int main(int argc, char** argv) {
   app.add_option("--op", arguments.only, "One operation alone");
   CLI11_PARSE(app, argc, argv);
   try {
+    opaline::limit_instruction_set();
     opaline::bench::run(arguments);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "bench_ops: %s\n", error.what());

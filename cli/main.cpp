@@ -7,6 +7,7 @@
 
 #include "cli/commands.h"
 #include "core/error.h"
+#include "core/instruction_set.h"
 
 namespace {
 
@@ -30,6 +31,7 @@ int run(int argc, char** argv) {
 
 int main(int argc, char** argv) {
   try {
+    opaline::limit_instruction_set();
     return run(argc, argv);
   } catch (const opaline::UsageError& error) {
     std::fprintf(stderr, "opaline: %s\n", error.what());

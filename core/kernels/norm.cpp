@@ -7,6 +7,8 @@
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
 
+#include "core/kernels/masked_load-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace opaline::kernels {
 namespace HWY_NAMESPACE {
@@ -48,7 +50,7 @@ class Columns {
         mask_(hn::FirstN(d, static_cast<size_t>(columns % static_cast<int64_t>(hn::Lanes(d))))) {}
   HWY_INLINE bool whole(int64_t j) const { return j + lanes_ <= columns_; }
   HWY_INLINE V load(const T* row, int64_t j) const {
-    return whole(j) ? hn::LoadU(d_, row + j) : hn::MaskedLoad(mask_, d_, row + j);
+    return whole(j) ? hn::LoadU(d_, row + j) : masked_load(mask_, d_, row + j);
   }
   HWY_INLINE void store(V v, T* row, int64_t j) const {
     if (whole(j)) {

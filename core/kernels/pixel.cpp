@@ -5,6 +5,8 @@
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
 
+#include "core/kernels/masked_load-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace opaline::kernels {
 namespace HWY_NAMESPACE {
@@ -23,7 +25,7 @@ HWY_INLINE void for_vectors(D d, int64_t n, const F& f) {
   }
   if (j == n) return;
   const auto mask = hn::FirstN(d, static_cast<size_t>(n - j));
-  f([=](const T* p) HWY_ATTR { return hn::MaskedLoad(mask, d, p + j); },
+  f([=](const T* p) HWY_ATTR { return masked_load(mask, d, p + j); },
     [=](auto v, T* p) HWY_ATTR { hn::BlendedStore(v, mask, d, p + j); });
 }
 

@@ -9,6 +9,8 @@
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
 
+#include "core/kernels/masked_load-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace opaline::kernels {
 namespace HWY_NAMESPACE {
@@ -42,7 +44,7 @@ HWY_INLINE HWY_ATTR void store(const V (&sums)[kVectors], int64_t columns, bool 
       hn::StoreU(add ? hn::Add(hn::LoadU(d, to), sums[v]) : sums[v], d, to);
     } else if (columns > 0) {
       const auto mask = hn::FirstN(d, static_cast<size_t>(columns));
-      hn::BlendedStore(add ? hn::Add(hn::MaskedLoad(mask, d, to), sums[v]) : sums[v], mask, d, to);
+      hn::BlendedStore(add ? hn::Add(masked_load(mask, d, to), sums[v]) : sums[v], mask, d, to);
     }
   }
 }

@@ -8,6 +8,8 @@
 #define HWY_TARGET_INCLUDE "core/kernels/transformer.cpp"
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
+
+#include "core/kernels/masked_load-inl.h"
 // After highway.h, once a target.
 #include <hwy/contrib/math/math-inl.h>
 
@@ -30,7 +32,7 @@ HWY_INLINE void for_row(D d, int64_t n, const F& f) {
   }
   if (j == n) return;
   const auto mask = hn::FirstN(d, static_cast<size_t>(n - j));
-  f([=](const T* p) HWY_ATTR { return hn::MaskedLoad(mask, d, p + j); },
+  f([=](const T* p) HWY_ATTR { return masked_load(mask, d, p + j); },
     [=](auto v, T* p) HWY_ATTR { hn::BlendedStore(v, mask, d, p + j); });
 }
 
@@ -128,8 +130,8 @@ HWY_ATTR void normalize_parameter_sums(const T* x, const T* dy, int64_t n, doubl
     const auto w = hn::Mul(g, hn::Mul(hn::Sub(load(x), m), i));
     const auto count = static_cast<size_t>(n - j < lanes ? n - j : lanes);
     const auto mask = hn::FirstN(d, count);
-    hn::BlendedStore(hn::Add(hn::MaskedLoad(mask, d, weight_sums + j), w), mask, d, weight_sums + j);
-    hn::BlendedStore(hn::Add(hn::MaskedLoad(mask, d, bias_sums + j), g), mask, d, bias_sums + j);
+    hn::BlendedStore(hn::Add(masked_load(mask, d, weight_sums + j), w), mask, d, weight_sums + j);
+    hn::BlendedStore(hn::Add(masked_load(mask, d, bias_sums + j), g), mask, d, bias_sums + j);
     j += lanes;
   });
 }

@@ -6,6 +6,8 @@
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
 
+#include "core/kernels/masked_load-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace opaline::kernels {
 namespace HWY_NAMESPACE {
@@ -41,7 +43,7 @@ HWY_ATTR void square(const T* from, int64_t from_stride, int64_t rows, int64_t c
       v[i] = hn::Zero(d);
     } else {
       v[i] = columns >= kLanes ? hn::LoadU(d, from + i * from_stride)
-                               : hn::MaskedLoad(mask, d, from + i * from_stride);
+                               : masked_load(mask, d, from + i * from_stride);
     }
   }
   for (int round = 1; round < kLanes; round *= 2) {

@@ -8,6 +8,8 @@
 #include <hwy/foreach_target.h>  // compiles the rest once an instruction set
 #include <hwy/highway.h>
 
+#include "core/kernels/masked_load-inl.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace opaline::kernels {
 namespace HWY_NAMESPACE {
@@ -123,7 +125,7 @@ HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int
 #pragma GCC unroll 8
       for (int i = 0; i < kTile; ++i) {
         const T* const at = column + i * row_stride;
-        x[i] = whole ? hn::LoadU(d, at) : hn::MaskedLoad(mask, d, at);
+        x[i] = whole ? hn::LoadU(d, at) : masked_load(mask, d, at);
       }
       transform_input<kPoints>(d, x, r);
 #pragma GCC unroll 8
@@ -158,7 +160,7 @@ HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_s
 #pragma GCC unroll 8
       for (int i = 0; i < kOutputs; ++i) {
         const T* const at = column + i * row_stride;
-        x[i] = whole ? hn::LoadU(d, at) : hn::MaskedLoad(mask, d, at);
+        x[i] = whole ? hn::LoadU(d, at) : masked_load(mask, d, at);
       }
       evaluate<kPoints, kOutputs, false>(d, x, r);
 #pragma GCC unroll 8
@@ -254,7 +256,7 @@ HWY_ATTR void weight_gradient(const T* from, int64_t frequency, int64_t columns,
 #pragma GCC unroll 8
     for (int i = 0; i < kTile; ++i) {
       const T* const at = from + (i * kTile + j) * frequency;
-      x[i] = whole ? hn::LoadU(d, at) : hn::MaskedLoad(mask, d, at);
+      x[i] = whole ? hn::LoadU(d, at) : masked_load(mask, d, at);
     }
     interpolate<kPoints, kTaps, true>(d, x, r);
 #pragma GCC unroll 8

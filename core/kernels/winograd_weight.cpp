@@ -22,9 +22,10 @@ class WeightSums {
         x_(sources(blocks_, images(s, x), s.padding)),
         dy_{s.output(dy), 0, 0, 0},
         grid_(k.outputs, s.n, s.out_h(), s.out_w()),
+        rows_(std::max(k.lanes, tiles<T>().rows)),
         width_(2 * k.lanes),
         frequencies_(k.tile * k.tile),
-        a_{block * round_up(s.out, k.lanes) + k.lanes, block * k.lanes, k.lanes},
+        a_{block * round_up(s.out, rows_) + k.lanes, block * rows_, rows_},
         b_{block * round_up(blocks_.total(), width_) + k.lanes, block * width_, width_} {}
 
   const TileGrid& grid() const { return grid_; }
@@ -40,7 +41,7 @@ class WeightSums {
   void transform(int64_t first, int64_t count, int64_t slot, T* a, T* b) const {
     const Scratch<T> patch(k_.tile * k_.tile * std::max(widest(x_), s_.out));
     transform_inputs(k_, x_, grid_, first, count, patch.data(), b + slot * width_, width_, b_);
-    transform_tiles(dy_, grid_, first, count, k_.outputs, patch.data(), a + slot * k_.lanes, k_.lanes,
+    transform_tiles(dy_, grid_, first, count, k_.outputs, patch.data(), a + slot * rows_, rows_,
                     [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
                       k_.output_gradient(d, row_stride, pixel_stride, s_.out, to, a_);
                     });
@@ -51,7 +52,7 @@ class WeightSums {
                 T* sums) const {
     const Tiles<T>& gemm = tiles<T>();
     OuterTile<T> t;
-    t.a_stride = k_.lanes;
+    t.a_stride = rows_;
     t.b_stride = width_;
     t.c_stride = blocks_.total();
     t.columns = std::min(width_, blocks_.total() - panel * width_);
@@ -61,7 +62,7 @@ class WeightSums {
       t.pixels = std::min(kPiece, count - first);
       t.accumulate = accumulate || first > 0;
       for (int64_t o = 0; o < s_.out; o += gemm.rows) {
-        t.a = a + f * a_.frequency + o / k_.lanes * a_.panel + o % k_.lanes + first * k_.lanes;
+        t.a = a + f * a_.frequency + o / rows_ * a_.panel + o % rows_ + first * rows_;
         t.rows = std::min(gemm.rows, s_.out - o);
         t.c = sums + f * sums_frequency() + o * blocks_.total() + panel * width_;
         gemm.outer(t);
@@ -100,7 +101,7 @@ class WeightSums {
   std::vector<Source<T>> x_;
   Source<T> dy_;
   TileGrid grid_;
-  int64_t width_, frequencies_;
+  int64_t rows_, width_, frequencies_;  // widths of panels: outputs, as many as a tile takes, and inputs
   Frequencies a_, b_;
 };
 
