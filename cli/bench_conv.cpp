@@ -1,16 +1,16 @@
 #include "cli/bench_conv.h"
 
-#include <cmath>
+#include <algorithm>
 #include <functional>
 #include <memory>
 
 #include "cli/bench.h"
+#include "cli/bench_workload.h"
 #include "core/check/machine.h"
 #include "core/clock.h"
 #include "core/kernels/direct.h"
 #include "core/kernels/winograd.h"
 #include "core/parallel.h"
-#include "core/random.h"
 
 namespace opaline::cli {
 namespace {
@@ -64,23 +64,6 @@ Tensor run_conv(const ConvData& data, ConvPass pass, int outputs) {
   return dw;
 }
 
-double relative_error(const Tensor& value, const Tensor& reference) {
-  double error = 0.0, size = 0.0;
-  for (int64_t i = 0; i < value.numel(); ++i) {
-    const double d = static_cast<double>(value.data<float>()[i]) - reference.data<double>()[i];
-    error += d * d;
-    size += reference.data<double>()[i] * reference.data<double>()[i];
-  }
-  return size > 0.0 ? std::sqrt(error / size) : std::sqrt(error);
-}
-
-Tensor random_normal(Shape shape, uint32_t sample, double deviation) {
-  Tensor tensor(std::move(shape));
-  Random random(1, Purpose::kTest, 0, sample);
-  for (float& value : tensor.values<float>()) value = static_cast<float>(deviation * random.normal());
-  return tensor;
-}
-
 /// The numerics that choose this algorithm.
 std::vector<std::string_view> chosen_by(const ConvShape& s, const ConvTiming& t) {
   std::vector<std::string_view> names;
@@ -102,9 +85,9 @@ void run_bench_conv(Arguments arguments) {
   s.kernel_h = s.kernel_w = arguments.kernel;
   s.padding = arguments.kernel / 2;
   ConvData data{.shape = s,
-                .x = random_normal({s.n, s.h, s.w, s.in}, 0, 1.0),
+                .x = random_normal({s.n, s.h, s.w, s.in}, 0),
                 .weight = random_normal({s.out, s.in, s.kernel_h, s.kernel_w}, 1, 0.02),
-                .dy = random_normal({s.n, s.out_h(), s.out_w(), s.out}, 2, 1.0)};
+                .dy = random_normal({s.n, s.out_h(), s.out_w(), s.out}, 2)};
   // What follows a rectifier is positive.
   for (float& value : data.x.values<float>()) value = std::max(value, 0.0F);
   const Machine machine = measure_machine();
@@ -139,8 +122,9 @@ std::vector<ConvTiming> measure_conv(const ConvData& data, int repeats) {
     const Tensor reference = run_conv<double>(wide, pass, 0);
     const size_t first = timings.size();
     for (const int outputs : algorithms) {
-      const double error = relative_error(run_conv<float>(data, pass, outputs), reference);
-      timings.push_back({.pass = pass, .outputs = outputs, .error = error});
+      RelativeError error;
+      error.add(run_conv<float>(data, pass, outputs), reference);
+      timings.push_back({.pass = pass, .outputs = outputs, .error = error.value()});
     }
     std::vector<std::vector<double>> seconds(algorithms.size());
     for (int i = 0; i < repeats; ++i) {

@@ -13,12 +13,12 @@
 
 #include "cli/bench.h"
 #include "cli/bench_conv.h"
+#include "cli/bench_workload.h"
 #include "core/autograd.h"
 #include "core/check/machine.h"
 #include "core/kernels/conv_plan.h"
 #include "core/ops/shape.h"
 #include "core/parallel.h"
-#include "core/random.h"
 #include "data/dataset.h"
 #include "data/loader.h"
 #include "models/cascade.h"
@@ -107,10 +107,7 @@ std::vector<Layer> capture(const std::vector<NamedTensor>& parameters, const For
     backward(y);
     return layers;
   }
-  Tensor cotangent(y.shape());
-  Random random(1, Purpose::kTest, 0, 9);
-  for (float& value : cotangent.values<float>()) value = static_cast<float>(random.normal());
-  backward(y, cotangent);
+  backward(y, random_normal(y.shape(), 9));
   return layers;
 }
 
@@ -133,13 +130,7 @@ std::vector<Layer> layers_of_network(const LayersArguments& arguments) {
   const std::unique_ptr<Network> network =
       make_network(arguments.net, {.image_size = arguments.size, .width = arguments.width});
   initialize_network(*network, arguments.net, 1);
-  const NetworkOptions released;
-  int64_t channels = released.input_channels;
-  if (arguments.net == "sss") channels += 5;
-  if (arguments.net == "reconstruction") channels = kBsdfChannels + sss_values(released.variant);
-  Tensor x({arguments.batch, arguments.size, arguments.size, channels});
-  Random random(1, Purpose::kTest, 0, 0);
-  for (float& value : x.values<float>()) value = static_cast<float>(random.uniform(-1.0, 1.0));
+  const Tensor x = random_uniform(input_shape(arguments.net, arguments.batch, arguments.size), 0);
   return capture(network->named_parameters(), [&] { return network->forward(x); });
 }
 
