@@ -1,6 +1,7 @@
 #include "train/graph.h"
 
 #include <algorithm>
+#include <set>
 #include <unordered_set>
 
 #include "core/autograd.h"
@@ -29,6 +30,57 @@ int64_t operation_work(const Node& node, const Tensor& result) {
     return 2 * result.numel() * inputs[1].size(1);
   }
   return 0;
+}
+
+bool wants_gradient(const Tensor& input) {
+  return input.defined() && input.requires_grad();
+}
+
+/// Inputs that make up the first factor of a product: the parts of a convolution's image, or one. The second
+/// factor is the input after them.
+size_t first_factor(const Node& node) {
+  return node.operation == "conv2d" ? node.inputs.size() - 2 : 1;
+}
+bool wants_first_factor(const Node& node) {
+  const auto begin = node.inputs.begin();
+  return std::any_of(begin, begin + static_cast<std::ptrdiff_t>(first_factor(node)), wants_gradient);
+}
+
+/// Whether the wanted gradients of an operation are functions of its input i.
+bool backward_reads(const Node& node, size_t i) {
+  static const std::set<std::string_view> kProducts = {"conv2d", "conv_transpose2d", "linear", "matmul",
+                                                       "mul"};
+  static const std::set<std::string_view> kConstantDerivative = {"adaptive_avg_pool2d",
+                                                                 "add",
+                                                                 "affine",
+                                                                 "concat",
+                                                                 "expand",
+                                                                 "mean",
+                                                                 "permute",
+                                                                 "reflection_pad2d",
+                                                                 "slice",
+                                                                 "sub",
+                                                                 "sum",
+                                                                 "upsample_bilinear",
+                                                                 "upsample_nearest"};
+  if (kConstantDerivative.contains(node.operation)) return false;
+  if (!kProducts.contains(node.operation)) return true;
+  const size_t second = first_factor(node);
+  if (i < second) return wants_gradient(node.inputs[second]);
+  return i == second && wants_first_factor(node);
+}
+
+void count_bytes(const Node& node, const Tensor& result, WorkCount& count) {
+  if (node.operation == "reshape") return;
+  count.forward_bytes += result.byte_size();
+  count.backward_bytes += result.byte_size();
+  for (size_t i = 0; i < node.inputs.size(); ++i) {
+    const Tensor& input = node.inputs[i];
+    if (!input.defined()) continue;
+    count.forward_bytes += input.byte_size();
+    if (backward_reads(node, i)) count.backward_bytes += input.byte_size();
+    if (wants_gradient(input)) count.backward_bytes += input.byte_size();
+  }
 }
 
 }  // namespace
@@ -61,17 +113,13 @@ WorkCount count_work(const Tensor& root) {
   for (const Tensor& tensor : computation_order(root)) {
     const Node* const node = tensor.node().get();
     if (node == nullptr) continue;
+    count_bytes(*node, tensor, count);
     const int64_t work = operation_work(*node, tensor);
     if (work == 0) continue;
     count.forward += work;
-    // Each of the two factors costs as much again, if its gradient is wanted. The first may come in parts.
-    const size_t parts = node->operation == "conv2d" ? node->inputs.size() - 2 : 1;
-    const auto wanted = [](const Tensor& input) { return input.requires_grad(); };
-    if (std::any_of(node->inputs.begin(), node->inputs.begin() + static_cast<std::ptrdiff_t>(parts),
-                    wanted)) {
-      count.backward += work;
-    }
-    if (wanted(node->inputs[parts])) count.backward += work;
+    // Each of the two factors costs as much again, if its gradient is wanted.
+    if (wants_first_factor(*node)) count.backward += work;
+    if (wants_gradient(node->inputs[first_factor(*node)])) count.backward += work;
   }
   return count;
 }
