@@ -4,9 +4,9 @@
 #include <string>
 
 #include "cli/commands.h"
+#include "cli/network_input.h"
 #include "cli/numerics_option.h"
 #include "core/autograd.h"
-#include "core/ops/shape.h"
 #include "core/safetensors.h"
 #include "models/network.h"
 #include "train/config.h"
@@ -26,21 +26,6 @@ struct ForwardArguments {
   bool grad = false;
   bool force = false;
 };
-
-// Images are N x C x H x W in files and channels last inside; vectors are the same in both.
-Tensor inward(const Tensor& x) {
-  return x.dim() == 4 ? to_nhwc(x) : x;
-}
-Tensor outward(const Tensor& x) {
-  return x.dim() == 4 ? to_nchw(x) : x;
-}
-
-Tensor read_tensor(const TensorMap& tensors, const std::string& name, DType dtype, const std::string& file) {
-  const auto found = tensors.find(name);
-  if (found == tensors.end()) fail(file, "has no tensor '{}'", name);
-  if (!found->second.is_floating()) fail(file, "tensor '{}' is not floating", name);
-  return found->second.to(dtype);
-}
 
 Tensor gradient_or_zeros(const Tensor& leaf) {
   return leaf.grad().defined() ? leaf.grad() : Tensor::zeros(leaf.shape(), leaf.dtype());
@@ -68,19 +53,14 @@ void run_forward(const ForwardArguments& arguments) {
   const NumericsGuard numerics(arguments.numerics);
 
   const TensorMap input = load_safetensors(arguments.input).tensors;
-  Tensor x = inward(read_tensor(input, "x", options.dtype, input_file));
+  Tensor x = read_input(input, options.dtype, input_file);
   x.set_requires_grad(arguments.grad);
   const Tensor y = network->forward(x);
 
   TensorMap result;
   result["y"] = outward(y.detach());
   if (arguments.grad) {
-    const Tensor cotangent = inward(read_tensor(input, "cotangent", options.dtype, input_file));
-    if (cotangent.shape() != y.shape()) {
-      fail(input_file, "tensor 'cotangent' is {}, the output {}", to_string(outward(cotangent).shape()),
-           to_string(result["y"].shape()));
-    }
-    backward(y, cotangent);
+    backward(y, read_cotangent(input, y, input_file));
     result["grad.x"] = outward(gradient_or_zeros(x));
     for (const NamedTensor& parameter : network->named_parameters()) {
       result["grad." + parameter.name] = gradient_or_zeros(parameter.tensor);
