@@ -10,6 +10,7 @@ void add_bench(CLI::App& app, Outcome&) {
   bench->require_subcommand(1);
   add_bench_conv(*bench);
   add_bench_layers(*bench);
+  add_bench_memory(*bench);
   add_bench_net(*bench);
   add_bench_step(*bench);
   add_bench_stress(*bench);

@@ -7,6 +7,7 @@ namespace opaline::cli {
 
 void add_bench_conv(CLI::App& bench);
 void add_bench_layers(CLI::App& bench);
+void add_bench_memory(CLI::App& bench);
 void add_bench_net(CLI::App& bench);
 void add_bench_noise(CLI::App& bench);
 void add_bench_render(CLI::App& bench);

@@ -39,6 +39,29 @@ inline int64_t bytes_read() {
   return 0;
 }
 
+/// A field of /proc/self/status in bytes; 0 where the system does not tell.
+inline int64_t status_bytes(const std::string& field) {
+  std::ifstream file("/proc/self/status");
+  std::string line;
+  while (std::getline(file, line)) {
+    if (line.starts_with(field + ":")) return 1024 * std::stoll(line.substr(field.size() + 1));
+  }
+  return 0;
+}
+/// Memory of the process that is in use now, and its largest since the last reset_resident_peak().
+inline int64_t resident_bytes() {
+  return status_bytes("VmRSS");
+}
+inline int64_t resident_peak_bytes() {
+  return status_bytes("VmHWM");
+}
+/// False where the system has no such thing.
+inline bool reset_resident_peak() {
+  std::ofstream file("/proc/self/clear_refs");
+  file << 5 << std::flush;
+  return file.good();
+}
+
 inline double median(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
