@@ -16,9 +16,11 @@
 #include "cli/bench_workload.h"
 #include "core/autograd.h"
 #include "core/check/machine.h"
+#include "core/file.h"
 #include "core/kernels/conv_plan.h"
 #include "core/ops/shape.h"
 #include "core/parallel.h"
+#include "data/chart.h"
 #include "data/dataset.h"
 #include "data/loader.h"
 #include "models/cascade.h"
@@ -40,6 +42,7 @@ struct LayersArguments {
   int64_t batch = 2;
   int64_t width = 64;
   int repeats = 3;
+  std::string plot;
 };
 
 struct Layer {
@@ -125,6 +128,50 @@ double bound(Numerics numerics, double direct_error) {
   return 0.0;
 }
 
+/// Operations by the direct count over the bytes of input, weight and result, each once: the same for the
+/// three passes, of which each reads two of them and writes the third.
+double intensity(const ConvData& data) {
+  const int64_t operations = 2 * data.dy.numel() * (data.weight.numel() / data.shape.out);
+  const int64_t bytes = data.x.byte_size() + data.weight.byte_size() + data.dy.byte_size();
+  return static_cast<double>(operations) / static_cast<double>(bytes);
+}
+
+/// What layers attain by the algorithms that numerics choose, over their intensity.
+using Points = std::map<Numerics, std::vector<ChartPoint>>;
+
+/// With the machine's roof, which Winograd's algorithm may pass: it saves operations that the direct count
+/// has.
+std::string draw_roofline(const Points& points, const Machine& machine) {
+  constexpr int kWidth = 720, kHeight = 420;
+  const std::map<Numerics, std::string> colours = {
+      {Numerics::kStrict, "#1f5fa8"}, {Numerics::kBalanced, "#c2532d"}, {Numerics::kFast, "#2e8b57"}};
+  const double ridge = machine.gflops / machine.gigabytes_per_second;
+  double low = ridge, high = ridge;
+  std::vector<ChartSeries> series;
+  for (const auto& [numerics, attained] : points) {
+    for (const ChartPoint& point : attained) {
+      low = std::min(low, point.x);
+      high = std::max(high, point.x);
+    }
+    series.push_back({.name = std::string(to_string(numerics)),
+                      .colour = colours.at(numerics),
+                      .points = attained,
+                      .line = false});
+  }
+  series.push_back(
+      {.name = "roof",
+       .colour = "#5a6876",
+       .points = {
+           {low, low * machine.gigabytes_per_second}, {ridge, machine.gflops}, {high, machine.gflops}}});
+  return chart_sheet({render_chart(series, {.title = "Convolutions: GFLOP/s, direct count",
+                                            .x_label = "FLOP a byte of input, weight and result",
+                                            .log_x = true,
+                                            .log_y = true,
+                                            .width = kWidth,
+                                            .height = kHeight})},
+                     1, kWidth, kHeight);
+}
+
 /// A network with fresh weights on noise.
 std::vector<Layer> layers_of_network(const LayersArguments& arguments) {
   const std::unique_ptr<Network> network =
@@ -166,6 +213,7 @@ void run_bench_layers(const LayersArguments& arguments) {
   fmt::print("|---|---|---|---|---:|---:|---:|---:|---|\n");
   int over = 0;
   std::map<Numerics, double> worst, total;
+  Points points;
   for (const Layer& layer : layers) {
     double direct_error = 0.0;
     for (const ConvTiming& t : measure_conv(layer.data, arguments.repeats)) {
@@ -175,6 +223,7 @@ void run_bench_layers(const LayersArguments& arguments) {
         if (kernels::choose_algorithm(layer.data.shape, t.pass, numerics) != t.outputs) continue;
         choices.emplace_back(to_string(numerics));
         total[numerics] += t.seconds;
+        points[numerics].push_back({intensity(layer.data), t.gflops});
         // Relative to its bound; NaN counts as over it.
         const double share = t.error / bound(numerics, direct_error);
         if (!(share <= 1.0)) {
@@ -194,6 +243,7 @@ void run_bench_layers(const LayersArguments& arguments) {
     fmt::print("{}: {:.1f} ms in all, worst error {:.2f} of its bound\n", to_string(numerics), 1e3 * seconds,
                worst[numerics]);
   }
+  if (!arguments.plot.empty()) write_file_atomically(arguments.plot, draw_roofline(points, machine));
   if (over > 0) fail("bench layers", "{} choices are over the bound of their numerics", over);
 }
 
@@ -221,6 +271,9 @@ void add_bench_layers(CLI::App& bench) {
   command->add_option("--repeats", arguments->repeats, "Turns of each algorithm")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
+  command->add_option(
+      "--plot", arguments->plot,
+      "Write the rate over the arithmetic intensity, below the machine's roof, to this SVG file");
   command->callback([arguments] { run_bench_layers(*arguments); });
 }
 

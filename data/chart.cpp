@@ -88,6 +88,7 @@ std::string line(double x1, double y1, double x2, double y2, std::string_view st
 
 std::string draw_series(const ChartSeries& series, const ChartOptions& options, const Axis& x,
                         const Axis& y) {
+  const bool line = options.lines && series.line;
   std::string path;
   std::string dots;
   for (const ChartPoint& point : series.points) {
@@ -95,13 +96,13 @@ std::string draw_series(const ChartSeries& series, const ChartOptions& options, 
     const double px = x.pixel(point.x);
     const double py = y.pixel(point.y);
     path += fmt::format("{:.1f},{:.1f} ", px, py);
-    if (series.markers || !options.lines) {
+    if (series.markers || !line) {
       dots += fmt::format("<circle cx='{:.1f}' cy='{:.1f}' r='{}' fill='{}' fill-opacity='{}'/>", px, py,
-                          options.lines ? 2.5 : 2.0, series.colour, options.lines ? 1.0 : 0.55);
+                          line ? 2.5 : 2.0, series.colour, line ? 1.0 : 0.55);
     }
   }
   std::string out;
-  if (options.lines) {
+  if (line) {
     out += fmt::format(
         "<polyline points='{}' fill='none' stroke='{}' stroke-width='1.6' stroke-linejoin='round'/>", path,
         series.colour);

@@ -18,6 +18,7 @@ struct ChartSeries {
   std::string colour;  ///< as CSS has it
   std::vector<ChartPoint> points;
   bool markers = false;  ///< a dot at each point
+  bool line = true;      ///< false: dots alone, in a chart whose other series have lines
 };
 
 struct ChartOptions {
@@ -25,7 +26,7 @@ struct ChartOptions {
   std::string x_label = {};
   bool log_x = false;                    ///< points that are not positive are left out
   bool log_y = false;                    ///< points that are not positive are left out
-  bool lines = true;                     ///< false: a scatter plot
+  bool lines = true;                     ///< false: a scatter plot, whatever the series say
   bool diagonal = false;                 ///< the line y = x, and one range for both axes
   std::vector<double> x_marks = {};      ///< dashed verticals, such as the change of stage
   std::optional<double> reference = {};  ///< dashed horizontal

@@ -52,6 +52,24 @@ TEST_CASE("charts hold their points and nothing that is not finite") {
   CHECK_THAT(render_chart({{.name = "c", .colour = "red", .points = {{1, 4}}}}, {}), !Contains("nan"));
 }
 
+TEST_CASE("a chart mixes lines and dots") {
+  const auto count = [](const std::string& svg, std::string_view what) {
+    int found = 0;
+    for (size_t at = svg.find(what); at != std::string::npos; at = svg.find(what, at + 1)) ++found;
+    return found;
+  };
+  const std::vector<ChartSeries> series = {
+      {.name = "roof", .colour = "red", .points = {{1, 1}, {2, 4}}},
+      {.name = "dots", .colour = "blue", .points = {{1, 2}, {2, 3}, {3, 4}}, .line = false}};
+  const std::string mixed = render_chart(series, {});
+  CHECK(count(mixed, "<polyline") == 1);
+  CHECK(count(mixed, "<circle") == 3);
+  CHECK(count(mixed, "fill='blue'") == 3);
+  const std::string scatter = render_chart(series, {.lines = false});
+  CHECK(count(scatter, "<polyline") == 0);
+  CHECK(count(scatter, "<circle") == 5);
+}
+
 TEST_CASE("durations read well") {
   CHECK(format_duration(42.4) == "42 s");
   CHECK(format_duration(190) == "3 min 10 s");
