@@ -10,23 +10,35 @@ channels last), with oneDNN, and in inference mode where only the forward pass i
 beyond parameters and their gradients: for PyTorch the growth of the process's peak over its size before the first
 forward pass, less the gradients; for opaline the peak of its pool, less the same.
 
-Packages: scripts/setup.sh --peers. Any newer PyTorch of a virtual environment can run it too.
+Single networks are also compared in their errors, in training mode: `opaline bench net` is given PyTorch's weights
+and inputs, and each side is held against its own float64. Errors are root mean squares of differences over those of
+the values, of the result and of the gradients of all parameters together. Shares of the machine's multiply-adds and of
+its bandwidth are those of opaline's step there.
+
+Packages: scripts/setup.sh --peers. Any newer PyTorch of a virtual environment (with NumPy) can run it too, and with
+--compile its networks are compiled first; that is not timed.
 """
 import argparse
+import copy
+import ctypes
+import gc
 import json
+import math
 import os
 import pathlib
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 
 import torch
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts" / "parity"))
+sys.path[:0] = [str(ROOT / "scripts" / "golden"), str(ROOT / "scripts" / "parity")]
 
 import networks  # noqa: E402
+import safetensors_io  # noqa: E402
 
 STAGES = ("stage1", "stage2", "cascade")
 IMAGE_CHANNELS, BSDF_CHANNELS, SH_VALUES, SSS_VALUES = 21, 12, 27, 8
@@ -43,10 +55,20 @@ def parse_arguments():
     parser.add_argument("--rounds", type=int, default=3, help="turns of each side")
     parser.add_argument("--repeats", type=int, default=3, help="timed runs a turn")
     parser.add_argument("--forward", action="store_true", help="the forward pass alone, in evaluation mode")
-    parser.add_argument("--numerics", help="opaline's choice of algorithms: strict, balanced or fast")
+    parser.add_argument("--numerics", default="balanced", choices=("strict", "balanced", "fast"),
+                        help="opaline's choice of algorithms")
+    parser.add_argument("--compile", action="store_true", help="torch.compile the networks (PyTorch 2 and newer)")
     parser.add_argument("--opaline", default=str(ROOT / "build" / "release" / "opaline"))
     parser.add_argument("--json", action="store_true", help="one JSON object a network")
-    return parser.parse_args()
+    arguments = parser.parse_args()
+    if arguments.compile and not hasattr(torch, "compile"):
+        parser.error(f"--compile: PyTorch {torch.__version__} has no torch.compile; run this with a newer one")
+    return arguments
+
+
+def runnable(net, arguments):
+    """What is called in place of a network. Each memory format is compiled for itself, whole, or it is an error."""
+    return torch.compile(net, dynamic=False, fullgraph=True) if arguments.compile else net
 
 
 class Stage:
@@ -60,6 +82,7 @@ class Stage:
         if name == "stage2":
             wanted.append("reconstruction")
         self.nets = torch.nn.ModuleDict({n: networks.make(n, image_size=size, width=width) for n in wanted})
+        self.run = {n: runnable(net, arguments) for n, net in self.nets.items()}
         batch = arguments.batch
         self.image = torch.rand(batch, IMAGE_CHANNELS, size, size) * 2 - 1
         self.bsdf = torch.rand(batch, BSDF_CHANNELS, size, size) * 2 - 1
@@ -88,17 +111,17 @@ class Stage:
         return (error.sum((1, 2, 3)) / (self.mask.sum((1, 2, 3)) * x.shape[1])).mean()
 
     def forward(self):
-        normal = self.nets["normal"](self.image)
-        depth = self.nets["depth"](self.image)
-        sh = self.nets["illumination"](self.image)
+        normal = self.run["normal"](self.image)
+        depth = self.run["depth"](self.image)
+        sh = self.run["illumination"](self.image)
         outputs = [normal, depth, sh]
         if "sss" in self.nets:
-            map_ = self.nets["illumination_decoder"](sh)
-            sss = self.nets["sss"](torch.cat([map_, normal, depth, self.image], dim=1))
+            map_ = self.run["illumination_decoder"](sh)
+            sss = self.run["sss"](torch.cat([map_, normal, depth, self.image], dim=1))
             outputs.append(sss)
         if "reconstruction" in self.nets:
             values = sss[:, :, None, None].expand(-1, -1, *self.image.shape[2:])
-            outputs.append(self.nets["reconstruction"](torch.cat([self.bsdf, values], dim=1)))
+            outputs.append(self.run["reconstruction"](torch.cat([self.bsdf, values], dim=1)))
         return outputs
 
     def backward(self, outputs):
@@ -117,6 +140,7 @@ class Single:
 
     def __init__(self, name, arguments):
         self.net = networks.make(name, image_size=arguments.size, width=arguments.width)
+        self.run = runnable(self.net, arguments)
         self.x = torch.rand(networks.input_shape(name, arguments.batch, arguments.size)) * 2 - 1
         self.cotangent = None
 
@@ -135,7 +159,7 @@ class Single:
         self.net.train(on)
 
     def forward(self):
-        return self.net(self.x)
+        return self.run(self.x)
 
     def backward(self, y):
         if self.cotangent is None:
@@ -179,6 +203,12 @@ def peer_memory(step, forward_only):
     return resident("VmHWM") - before - gradients
 
 
+def trim():
+    """Gives freed memory back to the system."""
+    gc.collect()
+    ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
 def choose_format(step, forward_only):
     """The faster memory format, and its name."""
     timings = {}
@@ -188,27 +218,75 @@ def choose_format(step, forward_only):
         timings[name] = (min(run_peer(step, forward_only) for _ in range(2)), memory_format)
     best = min(timings, key=lambda name: timings[name][0])
     step.to(timings[best][1])
+    run_peer(step, forward_only)  # where it is compiled once more for the inputs' new storage
     return best
+
+
+def relative_error(values, reference):
+    """Root mean square of the differences over that of the reference, of all tensors together."""
+    difference = sum((v.double() - r).square().sum().item() for v, r in zip(values, reference))
+    return math.sqrt(difference / sum(r.square().sum().item() for r in reference))
+
+
+def peer_errors(step):
+    """PyTorch's in float32, as it was timed, against its float64: of the result, of all parameters' gradients."""
+    def run(call, net, dtype):
+        y = call(step.x.to(dtype))
+        y.backward(step.cotangent.to(dtype))
+        gradients = [parameter.grad for parameter in net.parameters()]
+        for parameter in net.parameters():
+            parameter.grad = None
+        return [y.detach()], gradients
+
+    wide = copy.deepcopy(step.net).double()
+    expected = run(wide, wide, torch.float64)
+    return [relative_error(v, e) for v, e in zip(run(step.run, step.net, torch.float32), expected)]
+
+
+def our_row(arguments, net, step):
+    """What `opaline bench net` tells of the peer's weights and inputs."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = pathlib.Path(name)
+        weights, inputs = folder / "weights.safetensors", folder / "input.safetensors"
+        safetensors_io.save(weights, {k: v.numpy() for k, v in step.net.state_dict().items()})
+        safetensors_io.save(inputs, {"x": step.x.numpy(), "cotangent": step.cotangent.numpy()})
+        command = [arguments.opaline, "bench", "net", "--net", net, "--size", str(arguments.size), "--width",
+                   str(arguments.width), "--threads", str(arguments.threads), "--repeats", str(arguments.repeats),
+                   "--weights", str(weights), "--input", str(inputs), "--json"]
+        rows = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)["rows"]
+    return next(row for row in rows if row["numerics"] == arguments.numerics)
+
+
+def compare_errors(arguments, net, step):
+    row = our_row(arguments, net, step)
+    result, gradients = peer_errors(step)
+    return {"peak_share": row["peak_share"], "copy_share": row["copy_share"],
+            "ours_result_error": row["result_error"], "ours_gradient_error": row["parameter_gradient_error"],
+            "peer_result_error": result, "peer_gradient_error": gradients}
 
 
 def run_ours(arguments, net):
     command = [arguments.opaline, "bench", "step", "--net", net, "--size", str(arguments.size), "--batch",
-               str(arguments.batch), "--width", str(arguments.width), "--repeats", str(arguments.repeats), "--json"]
+               str(arguments.batch), "--width", str(arguments.width), "--repeats", str(arguments.repeats), "--json",
+               "--numerics", arguments.numerics]
     if arguments.forward:
         command.append("--forward")
-    if arguments.numerics:
-        command += ["--numerics", arguments.numerics]
     environment = dict(os.environ, OMP_NUM_THREADS=str(arguments.threads))
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout)
 
 
 def compare(arguments, net):
     torch.manual_seed(1)
+    if arguments.compile:
+        torch._dynamo.reset()  # of one forward function only so many variants are kept
     step = Stage(net, arguments) if net in STAGES else Single(net, arguments)
     step.train(not arguments.forward)
     for module in step.modules():
         if isinstance(module, torch.nn.ReLU):
             module.inplace = True
+    if arguments.compile:
+        run_peer(step, arguments.forward)  # compiles
+    trim()  # what earlier networks and compiling left free must not serve this one unseen
     memory = peer_memory(step, arguments.forward)
     memory_format = choose_format(step, arguments.forward)
     ours, peer = [], []
@@ -217,10 +295,21 @@ def compare(arguments, net):
         peer += [run_peer(step, arguments.forward) for _ in range(arguments.repeats)]
     ours_seconds = statistics.median(o["seconds"] for o in ours)
     peer_seconds = statistics.median(peer)
-    return {"net": net, "ours_seconds": ours_seconds, "peer_seconds": peer_seconds,
+    result = {"net": net, "ours_seconds": ours_seconds, "peer_seconds": peer_seconds,
             "ratio": peer_seconds / ours_seconds, "ours_gflops": statistics.median(o["gflops"] for o in ours),
             "ours_bytes": ours[0].get("beyond_parameters_bytes", ours[0]["peak_bytes"]),
             "peer_bytes": memory, "peer_format": memory_format}
+    if isinstance(step, Single) and not arguments.forward:
+        result.update(compare_errors(arguments, net, step))
+    return result
+
+
+def columns(result):
+    """The shares and errors of a single network; empty for the others."""
+    if "peak_share" not in result:
+        return ["", "", "", ""]
+    return [f"{100 * result['peak_share']:.0f} %", f"{100 * result['copy_share']:.0f} %"] + [
+        f"{result[side + '_result_error']:.1e}, {result[side + '_gradient_error']:.1e}" for side in ("ours", "peer")]
 
 
 def main():
@@ -229,17 +318,20 @@ def main():
     what = "forward" if arguments.forward else "forward and backward"
     if not arguments.json:
         print(f"{what}, {arguments.batch} x {arguments.size} x {arguments.size}, width {arguments.width}, "
-              f"{arguments.threads} threads, PyTorch {torch.__version__}")
-        print("| network | opaline s | GFLOP/s | PyTorch s | its format | ratio | opaline MiB | PyTorch MiB |")
-        print("|---|---:|---:|---:|---|---:|---:|---:|")
+              f"{arguments.threads} threads, {arguments.numerics}, PyTorch {torch.__version__}"
+              f"{', compiled' if arguments.compile else ''}; errors of the result and of the gradients")
+        print("| network | opaline s | GFLOP/s | of peak | of copying | PyTorch s | its format | ratio | opaline MiB | "
+              "PyTorch MiB | opaline errors | PyTorch errors |")
+        print("|---|---:|---:|---:|---:|---:|---|---:|---:|---:|---:|---:|")
     for net in arguments.net:
         r = compare(arguments, net)
         if arguments.json:
             print(json.dumps(r), flush=True)
-        else:
-            print(f"| {net} | {r['ours_seconds']:.3f} | {r['ours_gflops']:.0f} | {r['peer_seconds']:.3f} | "
-                  f"{r['peer_format']} | {r['ratio']:.2f} | {r['ours_bytes'] / 2**20:.0f} | "
-                  f"{r['peer_bytes'] / 2**20:.0f} |", flush=True)
+            continue
+        peak, copying, ours, theirs = columns(r)
+        print(f"| {net} | {r['ours_seconds']:.3f} | {r['ours_gflops']:.0f} | {peak} | {copying} | "
+              f"{r['peer_seconds']:.3f} | {r['peer_format']} | {r['ratio']:.2f} | {r['ours_bytes'] / 2**20:.0f} | "
+              f"{r['peer_bytes'] / 2**20:.0f} | {ours} | {theirs} |", flush=True)
 
 
 if __name__ == "__main__":
