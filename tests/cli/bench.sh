@@ -87,14 +87,87 @@ status=0
 "$opaline" bench conv --batch 1 --size 16 --in 32 --out 32 --repeats 1 > "$folder/conv.txt"
 for way in direct 'F(2x2)' 'F(4x4)' 'F(6x6)'; do expect "$folder/conv.txt" "$way"; done
 expect "$folder/conv.txt" 'weight gradient .* strict'
-"$opaline" bench layers --net normal --size 32 --width 16 --repeats 1 > "$folder/layers.txt"
+"$opaline" bench layers --net normal --size 32 --width 16 --repeats 1 --plot "$folder/roof.svg" > "$folder/layers.txt"
 expect "$folder/layers.txt" 'inc.double_conv.0.weight'
 expect "$folder/layers.txt" '^strict: .* worst error 0\.'
+for series in strict balanced fast roof; do expect "$folder/roof.svg" ">$series</text>"; done
 "$opaline" bench step --net cascade --forward --size 32 --width 8 --repeats 1 --numerics fast --json > "$folder/step.json"
 expect "$folder/step.json" '"beyond_parameters_bytes":[1-9]'
-for bad in "step --net cascade" "step --net normal --numerics quick" "layers" "layers --net normal --run nowhere"; do
+
+# Whole networks: a row of every size, number of threads and numerics; errors do not depend on threads.
+"$opaline" bench net --net normal --size 32 48 --threads 1 2 --width 8 --repeats 1 --plot "$folder/net.svg" > "$folder/net.txt"
+expect "$folder/net.txt" '^| 48 | 2 | balanced | .* % |'
+for series in 'fast x2' 'strict: grad'; do expect "$folder/net.svg" "$series"; done
+"$opaline" bench net --net sss --size 32 --threads 1 2 --batch 8 --width 8 --repeats 1 --json > "$folder/net.json"
+# Its weights and inputs from files: the decoder's, which are small.
+python3 - "$folder" <<'PYTHON'
+import array, json, math, pathlib, struct, sys
+folder = pathlib.Path(sys.argv[1])
+def save(name, tensors):
+    header, data = {}, b""
+    for key, (shape, values) in tensors.items():
+        kind = "F32" if isinstance(values[0], float) else "I64"
+        blob = array.array("f" if kind == "F32" else "q", values).tobytes()
+        header[key] = {"dtype": kind, "shape": shape, "data_offsets": [len(data), len(data) + len(blob)]}
+        data += blob
+    text = json.dumps(header).encode()
+    (folder / name).write_bytes(struct.pack("<Q", len(text)) + text + data)
+def wave(*shape): return shape, [math.sin(1.0 + 1.3 * i) for i in range(math.prod(shape))]
+weights, channels = {}, [27, 8, 4, 2, 1, 1]
+for i, (n, m) in enumerate(zip(channels, channels[1:])):
+    weights[f"model.{3 * i}.weight"] = wave(n, m, 4, 4)
+    norm = f"model.{3 * i + 1}."
+    weights |= {norm + "weight": wave(m), norm + "bias": wave(m), norm + "running_mean": wave(m),
+                norm + "running_var": ([m], [1.0] * m), norm + "num_batches_tracked": ([], [6])}
+save("weights.safetensors", weights)
+save("input.safetensors", {"x": wave(5, 27), "cotangent": wave(5, 1, 32, 32)})
+del weights["model.1.bias"]
+save("lacking.safetensors", weights)
+PYTHON
+decoder=(bench net --net illumination_decoder --size 32 --width 4 --repeats 1 --input "$folder/input.safetensors" --json)
+"$opaline" "${decoder[@]}" --weights "$folder/weights.safetensors" > "$folder/decoder.json"
+python3 - "$folder" <<'PYTHON'
+import json, pathlib, sys
+net, decoder = (json.loads((pathlib.Path(sys.argv[1]) / f"{name}.json").read_text()) for name in ("net", "decoder"))
+assert [row["numerics"] for row in net["rows"]] == 2 * ["strict", "balanced", "fast"], net
+errors = ("result_error", "parameter_gradient_error", "input_gradient_error")
+for one, two in zip(net["rows"][:3], net["rows"][3:]):
+    assert (one["threads"], two["threads"]) == (1, 2) and all(one[e] == two[e] for e in errors), (one, two)
+# A rectifier that flips weighs far more in gradients than rounding.
+limits = {"strict": 1e-5, "balanced": 1e-4, "fast": 1e-3}
+for row in net["rows"] + decoder["rows"]:
+    assert 0 < row["result_error"] < limits[row["numerics"]] and all(0 < row[e] < 0.1 for e in errors[1:]), row
+    assert 0 < row["forward_seconds"] and 0 < row["step_seconds"], row
+    assert all(row[rate] > 0 for rate in ("gflops", "peak_share", "gigabytes_per_second", "copy_share")), row
+assert decoder["rows"][0]["pixels"] == 5 * 32 * 32, decoder  # the file's batch
+PYTHON
+for weights in nowhere lacking; do
   status=0
+  "$opaline" "${decoder[@]}" --weights "$folder/$weights.safetensors" >/dev/null 2>"$folder/error.txt" || status=$?
+  [[ $status -eq 1 ]] || fail "bench net with weights '$weights' gave exit code $status"
+  expect "$folder/error.txt" "$weights.safetensors"
+done
+expect "$folder/error.txt" 'missing: model.1.bias (8)'
+
+# Memory: a row of each batch and way, but no training on a single vector.
+"$opaline" bench memory --net stage1 --size 32 --width 8 --batch 1 2 > "$folder/memory.txt"
+expect "$folder/memory.txt" '^| 2 | training | [0-9.]* | [0-9.]* | [0-9.]* | [0-9.]* | [0-9.]* |'
+"$opaline" bench memory --net stage1 --size 32 --width 8 --batch 1 2 --json > "$folder/memory.json"
+python3 - "$folder/memory.json" <<'PYTHON'
+import json, sys
+rows = json.load(open(sys.argv[1]))["rows"]
+assert [(row["batch"], row["way"]) for row in rows] == [(1, "forward"), (2, "forward"), (2, "training")], rows
+one, two, training = rows
+assert one["weights"] == two["weights"] == training["weights"] == training["gradients"] > 0, rows
+assert one["gradients"] == one["moments"] == one["graph"] == 0 < one["peak_beyond"] < two["peak_beyond"], rows
+assert 2 * training["weights"] <= training["moments"] < 2.5 * training["weights"] and training["graph"] > 0, rows
+PYTHON
+
+for bad in "net --net stage1" "net --net normal --weights w" "net --net normal --size 32 48 --weights w --input x" \
+  "memory" "step --net cascade" "step --net normal --numerics quick" "layers" "layers --net normal --run nowhere"; do
+  status=0
+  [[ "$bad" == *--size* ]] || bad+=" --size 32"
   # shellcheck disable=SC2086  # words on purpose
-  "$opaline" bench $bad --size 32 --width 8 >/dev/null 2>"$folder/error.txt" || status=$?
+  "$opaline" bench $bad --width 8 >/dev/null 2>"$folder/error.txt" || status=$?
   [[ $status -eq 2 ]] || fail "bench $bad gave exit code $status"
 done
