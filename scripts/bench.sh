@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Times the engine beside its peers, which take turns with it: single convolutions beside oneDNN, the networks beside
-# PyTorch, all with their errors or memory. About half an hour on two cores; nothing else should run.
+# PyTorch, all with their errors or memory; then networks over sizes and threads, memory over batches, single layers.
+# Draws docs/images/net-*.svg and roofline.svg. About an hour on two cores; nothing else should run.
 #   scripts/bench.sh           everything
 #   scripts/bench.sh --quick   one network and one size
 # Threads: OMP_NUM_THREADS (default: all cores).
@@ -38,8 +39,22 @@ echo
 echo
 "${peer[@]}" --net normal stage1 --width 16
 echo
+counts=(1)
+[[ $threads -eq 1 ]] || counts+=("$threads")
+opaline=build/release/opaline
+# A batch norm over vectors has useful gradients from a few images on only.
+for net in normal:2 sss:4 illumination:4; do
+  "$opaline" bench net --net "${net%:*}" --batch "${net#*:}" --size 64 128 256 512 --threads "${counts[@]}" \
+    --plot "docs/images/net-${net%:*}.svg"
+  echo
+done
+for net in stage1 stage2 cascade; do
+  "$opaline" bench memory --net "$net"
+  echo
+done
 build/release/bench_ops --threads "$threads"
 echo
-for net in normal illumination sss reconstruction; do
-  build/release/opaline bench layers --net "$net" --size 128
+"$opaline" bench layers --net normal --size 128 --plot docs/images/roofline.svg
+for net in illumination sss reconstruction; do
+  "$opaline" bench layers --net "$net" --size 128
 done
