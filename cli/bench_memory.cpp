@@ -31,13 +31,17 @@ struct MemoryArguments {
 /// A way to run a workload: a row of each batch. Another one is a line in kWays.
 struct Way {
   std::string_view name;
-  bool training;
+  bool training = false;
+  bool checkpoint = false;  ///< stages only
 };
-constexpr std::array kWays = {Way{"forward", false}, Way{"training", true}};
+constexpr std::array kWays = {Way{"forward"}, Way{"training", true},
+                              Way{"training, checkpoints", true, true}};
 
-/// Whether there is such a training step: the cascade is what prediction computes, and batch norms over
-/// vectors cannot train on a single image.
-bool trains(std::string_view net, int64_t batch) {
+/// Whether there is such a step: the cascade is what prediction computes, and batch norms over vectors cannot
+/// train on a single image.
+bool exists(const Way& way, std::string_view net, int64_t batch) {
+  if (!way.training) return true;
+  if (way.checkpoint && net != "stage1" && net != "stage2") return false;
   const bool of_images =
       net == "normal" || net == "depth" || net == "reconstruction" || net == "illumination_decoder";
   return net != "cascade" && (batch > 1 || of_images);
@@ -51,10 +55,12 @@ struct Memory {
   int64_t peak = 0;                 ///< of the storage pool, beyond these and the inputs
   int64_t graph = 0;                ///< held between forward and backward
   std::optional<int64_t> resident;  ///< growth of the process beyond the same, where the system tells it
+  double seconds = 0.0;             ///< of a later run
 };
 
-Memory measure(const Workload& workload, const Way& way) {
+Memory measure(Workload workload, const Way& way) {
   Pool& pool = tensor_pool();
+  workload.checkpoint = way.checkpoint;
   const std::unique_ptr<Step> step = make_step(workload);
   step->set_training(way.training);
   Memory memory;
@@ -66,25 +72,37 @@ Memory measure(const Workload& workload, const Way& way) {
     adam.emplace(step->parameters());
     memory.moments = pool.bytes_in_use() - before;
   }
-
-  // What earlier rows left free must not serve this one unseen.
-  pool.release_cached();
-  malloc_trim(0);
   const int64_t before = pool.bytes_in_use();
-  const int64_t resident_before = resident_bytes();
-  pool.reset_peak();
-  const bool told = reset_resident_peak() && resident_before > 0;
-  if (way.training) {
+  const auto run = [&] {
+    if (!way.training) {
+      const NoGradGuard no_grad;
+      step->forward();
+      return;
+    }
     const Tensor result = step->forward();
     memory.graph = pool.bytes_in_use() - before;
     step->go_backward(result);
     adam->step();
-  } else {
-    const NoGradGuard no_grad;
-    step->forward();
-  }
+  };
+
+  // What earlier rows left free must not serve this one unseen.
+  pool.release_cached();
+  malloc_trim(0);
+  const int64_t resident_before = resident_bytes();
+  pool.reset_peak();
+  const bool told = reset_resident_peak() && resident_before > 0;
+  run();
   memory.peak = pool.peak_bytes() - before - memory.gradients;
   if (told) memory.resident = resident_peak_bytes() - resident_before - memory.gradients;
+
+  std::vector<double> seconds;
+  for (int i = 0; i < 3; ++i) {
+    step->zero_grad();
+    const double begin = wall_seconds();
+    run();
+    seconds.push_back(wall_seconds() - begin);
+  }
+  memory.seconds = median(seconds);
   return memory;
 }
 
@@ -99,8 +117,8 @@ void print_head(const Workload& workload) {
              workload.width);
   fmt::print(
       "| batch | way | weights | gradients | moments | peak beyond these | held by the graph | growth of the "
-      "process |\n"
-      "|---:|---|---:|---:|---:|---:|---:|---:|\n");
+      "process | s |\n"
+      "|---:|---|---:|---:|---:|---:|---:|---:|---:|\n");
 }
 
 void print_row(const Row& row) {
@@ -108,8 +126,9 @@ void print_row(const Row& row) {
     return fmt::format("{:.1f}", static_cast<double>(bytes) / (1 << 20));
   };
   const Memory& m = row.memory;
-  fmt::print("| {} | {} | {} | {} | {} | {} | {} | {} |\n", row.batch, row.way, mib(m.weights),
-             mib(m.gradients), mib(m.moments), mib(m.peak), mib(m.graph), m.resident ? mib(*m.resident) : "");
+  fmt::print("| {} | {} | {} | {} | {} | {} | {} | {} | {:.3f} |\n", row.batch, row.way, mib(m.weights),
+             mib(m.gradients), mib(m.moments), mib(m.peak), mib(m.graph), m.resident ? mib(*m.resident) : "",
+             m.seconds);
   std::fflush(stdout);
 }
 
@@ -117,7 +136,8 @@ nlohmann::ordered_json to_json(const Row& row) {
   const Memory& m = row.memory;
   nlohmann::ordered_json json = {
       {"batch", row.batch},   {"way", row.way},        {"weights", m.weights}, {"gradients", m.gradients},
-      {"moments", m.moments}, {"peak_beyond", m.peak}, {"graph", m.graph},     {"resident_growth", nullptr}};
+      {"moments", m.moments}, {"peak_beyond", m.peak}, {"graph", m.graph},     {"resident_growth", nullptr},
+      {"seconds", m.seconds}};
   if (m.resident) json["resident_growth"] = *m.resident;
   return json;
 }
@@ -129,7 +149,7 @@ void run_bench_memory(const MemoryArguments& arguments) {
   for (const int64_t batch : arguments.batches) {
     workload.batch = batch;
     for (const Way& way : kWays) {
-      if (way.training && !trains(workload.net, batch)) continue;
+      if (!exists(way, workload.net, batch)) continue;
       const Row row{batch, way.name, measure(workload, way)};
       if (arguments.json) {
         json["rows"].push_back(to_json(row));
@@ -152,7 +172,10 @@ void add_bench_memory(CLI::App& bench) {
       "moments;\n"
       "the peak of the storage pool beyond these and the inputs; what the graph holds between forward and "
       "backward;\n"
-      "and how much the process grew, from a system that tells, beyond the same.");
+      "how much the process grew, from a system that tells, beyond the same; and the seconds of a later "
+      "step. "
+      "Stages\n"
+      "also with activation checkpointing.");
   const std::vector<std::string> nets = workload_names();
   Workload& workload = arguments->workload;
   command->add_option("--net", workload.net, fmt::format("One of {}", fmt::join(nets, ", ")))

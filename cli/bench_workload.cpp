@@ -93,7 +93,8 @@ class StageStep : public Step {
       : losses_(workload.net != "cascade"),
         cascade_({.network = {.image_size = workload.size, .width = workload.width},
                   .stage = workload.net == "stage1" ? 1 : 2,
-                  .reconstruction = workload.net == "stage2"}) {
+                  .reconstruction = workload.net == "stage2",
+                  .checkpoint = workload.checkpoint}) {
     cascade_.initialize(1);
     const Variant variant = cascade_.options().network.variant;
     const int64_t b = workload.batch;

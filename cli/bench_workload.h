@@ -33,11 +33,12 @@ class RelativeError {
 Shape input_shape(std::string_view net, int64_t batch, int64_t size);
 
 struct Workload {
-  std::string net;        ///< one of workload_names()
-  int64_t size = 256;     ///< of the images, and the build size
-  int64_t batch = 1;      ///< images
-  int64_t width = 64;     ///< channels of the first layer
-  std::string mask = {};  ///< of a stage's losses: a PNG file or a share of the pixels; empty: all of them
+  std::string net;          ///< one of workload_names()
+  int64_t size = 256;       ///< of the images, and the build size
+  int64_t batch = 1;        ///< images
+  int64_t width = 64;       ///< channels of the first layer
+  std::string mask = {};    ///< of a stage's losses: a PNG file or a share of the pixels; empty: all of them
+  bool checkpoint = false;  ///< of a stage: activation checkpointing
 };
 
 /// The networks; "stage1" and "stage2", the networks of a stage with its losses; "cascade", what prediction

@@ -156,8 +156,10 @@ expect "$folder/memory.txt" '^| 2 | training | [0-9.]* | [0-9.]* | [0-9.]* | [0-
 python3 - "$folder/memory.json" <<'PYTHON'
 import json, sys
 rows = json.load(open(sys.argv[1]))["rows"]
-assert [(row["batch"], row["way"]) for row in rows] == [(1, "forward"), (2, "forward"), (2, "training")], rows
-one, two, training = rows
+assert [(row["batch"], row["way"]) for row in rows] == [
+    (1, "forward"), (2, "forward"), (2, "training"), (2, "training, checkpoints")], rows
+one, two, training, checkpoints = rows
+assert checkpoints["graph"] < 0.5 * training["graph"] and checkpoints["weights"] == training["weights"], rows
 assert one["weights"] == two["weights"] == training["weights"] == training["gradients"] > 0, rows
 assert one["gradients"] == one["moments"] == one["graph"] == 0 < one["peak_beyond"] < two["peak_beyond"], rows
 assert 2 * training["weights"] <= training["moments"] < 2.5 * training["weights"] and training["graph"] > 0, rows
