@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Times the engine beside its peers, which take turns with it: single convolutions beside oneDNN, the networks beside
 # PyTorch, all with their errors or memory; then networks over sizes and threads, memory over batches, single layers.
-# Draws docs/images/net-*.svg and roofline.svg. About an hour on two cores; nothing else should run.
+# Draws docs/images/net-normal.svg, roofline.svg and convolutions.svg. About an hour on two cores; nothing else should run.
 #   scripts/bench.sh           everything
 #   scripts/bench.sh --quick   one network and one size
 # Threads: OMP_NUM_THREADS (default: all cores).
@@ -23,13 +23,15 @@ cmake --build --preset release --target opaline bench_onednn bench_ops >/dev/nul
 
 threads=${OMP_NUM_THREADS:-$(nproc)}
 peer=(bench/peers/step_pytorch.py --threads "$threads")
-build/release/bench_onednn --threads "$threads"
+build/release/bench_onednn --threads "$threads" --plot docs/images/convolutions.svg
 echo
 if [[ $quick -eq 1 ]]; then
   "${peer[@]}" --net normal --size 64 --batch 8
   exit 0
 fi
 "${peer[@]}" --net normal sss illumination stage1 stage2
+echo
+"${peer[@]}" --net normal stage1 stage2 --environment default
 echo
 "${peer[@]}" --net cascade --forward --batch 1
 echo
@@ -42,14 +44,14 @@ echo
 counts=(1)
 [[ $threads -eq 1 ]] || counts+=("$threads")
 opaline=build/release/opaline
-# A batch norm over vectors has useful gradients from a few images on only.
-for net in normal:2 sss:4 illumination:4; do
-  "$opaline" bench net --net "${net%:*}" --batch "${net#*:}" --size 64 128 256 512 --threads "${counts[@]}" \
-    --plot "docs/images/net-${net%:*}.svg"
+"$opaline" bench net --net normal --size 64 128 256 512 --threads "${counts[@]}" --plot docs/images/net-normal.svg
+echo
+for net in sss illumination; do  # whose norms over vectors have useful gradients from a few images on only
+  "$opaline" bench net --net "$net" --batch 4 --size 64 128 256 --threads "${counts[@]}"
   echo
 done
 for net in stage1 stage2 cascade; do
-  "$opaline" bench memory --net "$net"
+  "$opaline" bench memory --net "$net" --batch 2 4
   echo
 done
 build/release/bench_ops --threads "$threads"

@@ -6,7 +6,9 @@
 
 For every network `opaline bench step` and PyTorch take turns on the same number of threads, so that a loaded machine
 slows both; what is printed are medians over all turns. PyTorch runs the faster of its memory formats (contiguous and
-channels last), with oneDNN, and in inference mode where only the forward pass is timed. Memory is what a step needs
+channels last), with oneDNN, in inference mode where only the forward pass is timed, and with an environment that suits
+it: waiting threads sleep, for those of its backward pass are others, and freed memory is kept instead of given back
+and cleared anew (--environment default leaves both as they are). Memory is what a step needs
 beyond parameters and their gradients: for PyTorch the growth of the process's peak over its size before the first
 forward pass, less the gradients; for opaline the peak of its pool, less the same.
 
@@ -34,6 +36,9 @@ import time
 
 import torch
 
+# What the system's allocator and OpenMP read as a process begins.
+TUNED = {"OMP_WAIT_POLICY": "passive", "MALLOC_MMAP_THRESHOLD_": str(1 << 33), "MALLOC_TRIM_THRESHOLD_": str(1 << 34),
+         "MALLOC_TOP_PAD_": str(1 << 28)}
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "scripts" / "golden"), str(ROOT / "scripts" / "parity")]
 
@@ -57,6 +62,7 @@ def parse_arguments():
     parser.add_argument("--forward", action="store_true", help="the forward pass alone, in evaluation mode")
     parser.add_argument("--numerics", default="balanced", choices=("strict", "balanced", "fast"),
                         help="opaline's choice of algorithms")
+    parser.add_argument("--environment", default="tuned", choices=("tuned", "default"), help="of PyTorch")
     parser.add_argument("--compile", action="store_true", help="torch.compile the networks (PyTorch 2 and newer)")
     parser.add_argument("--opaline", default=str(ROOT / "build" / "release" / "opaline"))
     parser.add_argument("--json", action="store_true", help="one JSON object a network")
@@ -271,7 +277,8 @@ def run_ours(arguments, net):
                "--numerics", arguments.numerics]
     if arguments.forward:
         command.append("--forward")
-    environment = dict(os.environ, OMP_NUM_THREADS=str(arguments.threads))
+    environment = {key: value for key, value in os.environ.items() if key not in TUNED}
+    environment["OMP_NUM_THREADS"] = str(arguments.threads)
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout)
 
 
@@ -314,12 +321,14 @@ def columns(result):
 
 def main():
     arguments = parse_arguments()
+    if arguments.environment == "tuned" and any(os.environ.get(key) != value for key, value in TUNED.items()):
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **TUNED})
     torch.set_num_threads(arguments.threads)
     what = "forward" if arguments.forward else "forward and backward"
     if not arguments.json:
         print(f"{what}, {arguments.batch} x {arguments.size} x {arguments.size}, width {arguments.width}, "
-              f"{arguments.threads} threads, {arguments.numerics}, PyTorch {torch.__version__}"
-              f"{', compiled' if arguments.compile else ''}; errors of the result and of the gradients")
+              f"{arguments.threads} threads, {arguments.numerics}, PyTorch {torch.__version__}, "
+              f"{arguments.environment} environment{', compiled' if arguments.compile else ''}; errors of the result and of the gradients")
         print("| network | opaline s | GFLOP/s | of peak | of copying | PyTorch s | its format | ratio | opaline MiB | "
               "PyTorch MiB | opaline errors | PyTorch errors |")
         print("|---|---:|---:|---:|---:|---:|---|---:|---:|---:|---:|---:|")
