@@ -160,19 +160,26 @@ HWY_ATTR void softmax(const T* x, int64_t n, T scale, T* y) {
       total += y[j];
     }
   } else {
+    constexpr int64_t kPerFlush = 64;  // vectors summed in T before double takes over
     auto sum = hn::Zero(d);
-    int64_t done = 0;
+    int64_t done = 0, held = 0;
     const auto lanes = static_cast<int64_t>(hn::Lanes(d));
+    const auto flush = [&]() HWY_ATTR {
+      alignas(64) T parts[16];
+      hn::Store(sum, d, parts);
+      for (int64_t i = 0; i < lanes; ++i) total += static_cast<double>(parts[i]);
+      sum = hn::Zero(d);
+      held = 0;
+    };
     for_row(d, n, [&](const auto& load, const auto& store) HWY_ATTR {
       const auto e = exponential(d, hn::Sub(load(y), top));
       store(e, y);
       const auto inside = hn::FirstN(d, static_cast<size_t>(n - done < lanes ? n - done : lanes));
       sum = hn::Add(sum, hn::IfThenElseZero(inside, e));
       done += lanes;
+      if (++held == kPerFlush) flush();
     });
-    alignas(64) T parts[16];
-    hn::Store(sum, d, parts);
-    for (int64_t i = 0; i < lanes; ++i) total += static_cast<double>(parts[i]);
+    flush();
   }
   const auto inverse = hn::Set(d, static_cast<T>(1.0 / total));  // total >= 1: the largest term is 1
   for_row(d, n, [&](const auto& load, const auto& store) HWY_ATTR { store(hn::Mul(load(y), inverse), y); });
