@@ -26,6 +26,7 @@ struct Tensor::Impl {
   DType dtype = DType::kFloat32;
   std::shared_ptr<std::byte> storage;  // null for an edge and for values to recompute
   std::weak_ptr<std::byte> elsewhere;  // the storage then, for as long as somebody else keeps it
+  std::shared_ptr<const ActiveSites> sites;
   std::shared_ptr<const Recompute> recompute;
   int recompute_depth = 0;  // recomputations, one after the other, that lead here from values that are kept
   std::shared_ptr<History> history = std::make_shared<History>();
@@ -86,6 +87,7 @@ Tensor::Tensor(Shape shape, DType dtype) {
                                       .dtype = dtype,
                                       .storage = std::move(storage),
                                       .elsewhere = {},
+                                      .sites = {},
                                       .recompute = {}});
 }
 
@@ -175,6 +177,18 @@ template float* Tensor::data();
 template double* Tensor::data();
 template int64_t* Tensor::data();
 
+const std::shared_ptr<const ActiveSites>& Tensor::sites() const {
+  return impl().sites;
+}
+
+Tensor& Tensor::set_sites(std::shared_ptr<const ActiveSites> sites) {
+  if (sites && (dim() != 2 || size(0) != sites->count())) {
+    fail("tensor", "{} cannot be {} active sites", to_string(shape()), sites->count());
+  }
+  impl().sites = std::move(sites);
+  return *this;
+}
+
 double Tensor::at(int64_t i) const {
   if (i < 0 || i >= numel()) fail("tensor", "no element {} in shape {}", i, to_string(shape()));
   switch (dtype()) {
@@ -195,6 +209,7 @@ double Tensor::item() const {
 
 Tensor Tensor::clone() const {
   Tensor result(shape(), dtype());
+  result.impl().sites = sites();
   std::memcpy(result.bytes(), bytes(), static_cast<size_t>(byte_size()));
   return result;
 }
@@ -224,6 +239,7 @@ void convert_from(const Tensor& from, Tensor& to) {
 Tensor Tensor::to(DType dtype) const {
   if (dtype == this->dtype()) return detach();
   Tensor result(shape(), dtype);
+  result.impl().sites = sites();
   switch (this->dtype()) {
     case DType::kFloat32:
       convert_from<float>(*this, result);
@@ -269,11 +285,13 @@ Tensor Tensor::view(Shape shape) const {
     fail("view", "{} elements of shape {} do not fit shape {}", numel(), to_string(this->shape()),
          to_string(shape));
   }
+  const bool same = shape == this->shape();
   Tensor result;
   result.impl_ = std::make_shared<Impl>(Impl{.shape = std::move(shape),
                                              .dtype = dtype(),
                                              .storage = impl().storage,
                                              .elsewhere = {},
+                                             .sites = same ? sites() : nullptr,
                                              .recompute = {}});
   return result;
 }

@@ -2,7 +2,9 @@
 //
 // Layout. Images are N x H x W x C inside the engine (channels last: every kernel's inner loop runs over
 // channels); files, weights and tests speak N x C x H x W, and to_nchw / to_nhwc in core/ops/shape.h are the
-// border. Weights keep PyTorch's shapes everywhere (conv O x I x KH x KW, linear out x in).
+// border. Weights keep PyTorch's shapes everywhere (conv O x I x KH x KW, linear out x in). Images of which
+// only some pixels exist are sites x C and know their active sites (core/active_sites.h): operations on
+// images take either, and those that change no pixel's place hand the sites on.
 #pragma once
 
 #include <cstddef>
@@ -15,6 +17,7 @@
 #include <type_traits>
 #include <vector>
 
+#include "core/active_sites.h"
 #include "core/error.h"
 
 namespace opaline {
@@ -107,10 +110,16 @@ class Tensor {
   void copy_from(const Tensor& other);
   void fill(double value);
 
+  /// The pixels that these rows are; null for anything else.
+  const std::shared_ptr<const ActiveSites>& sites() const;
+  /// Makes the rows of this tensor (sites.count() x C) those pixels; null takes that back.
+  Tensor& set_sites(std::shared_ptr<const ActiveSites> sites);
+
   // --- autograd (core/autograd.h) ---
   /// The same storage without history: what operations save for their backward pass.
   Tensor detach() const;
-  /// The same storage under another shape with as many elements, without history.
+  /// The same storage under another shape with as many elements, without history or, for another shape,
+  /// sites.
   Tensor view(Shape shape) const;
   bool requires_grad() const;
   /// Makes this a leaf that collects a gradient (or not).

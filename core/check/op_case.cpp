@@ -81,7 +81,7 @@ const std::vector<OpCase>& op_cases() {
     std::vector<OpCase> all;
     for (const auto family :
          {conv_cases, linear_cases, norm_cases, activation_cases, unary_cases, arithmetic_cases, pool_cases,
-          resize_cases, reduce_cases, shape_cases, loss_cases}) {
+          resize_cases, reduce_cases, shape_cases, loss_cases, sites_cases}) {
       for (OpCase& op_case : family()) all.push_back(std::move(op_case));
     }
     return all;
@@ -132,6 +132,7 @@ void write_case_inputs(const std::filesystem::path& path) {
   std::map<std::string, std::string> metadata;
   const NoGradGuard no_grad;
   for (const OpCase& op_case : op_cases()) {
+    if (!op_case.in_pytorch) continue;
     const std::vector<Tensor> inputs = make_inputs(op_case, DType::kFloat32);
     for (size_t i = 0; i < inputs.size(); ++i) {
       tensors[op_case.name + "/" + op_case.inputs[i].name] = inputs[i].clone();

@@ -70,6 +70,8 @@ struct OpCase {
   std::map<std::string, std::string> options = {};
   /// Whether difference quotients make sense: not at a kink, nor with infinities.
   bool smooth = true;
+  /// Whether PyTorch has such an operation, for golden values.
+  bool in_pytorch = true;
   Tolerances tolerances = {};
   Fill cotangent = fill::normal();  ///< what the result is multiplied by before it is summed
 
@@ -105,6 +107,7 @@ std::vector<OpCase> resize_cases();
 std::vector<OpCase> reduce_cases();
 std::vector<OpCase> shape_cases();
 std::vector<OpCase> loss_cases();
+std::vector<OpCase> sites_cases();
 
 std::vector<OpCase> large_conv_cases(int64_t side);
 std::vector<OpCase> large_linear_cases(int64_t side);

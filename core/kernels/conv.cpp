@@ -15,13 +15,14 @@ namespace {
 template <class T>
 class Joined {
  public:
-  Joined(const ConvShape& s, Parts<const T> parts) : copy_(parts.size() == 1 ? 0 : s.n * s.h * s.w * s.in) {
+  Joined(int64_t pixels, int64_t channels, Parts<const T> parts)
+      : copy_(parts.size() == 1 ? 0 : pixels * channels) {
     data_ = parts.front().data;
     if (parts.size() == 1) return;
     data_ = copy_.data();
     int64_t first = 0;
     for (const Part<const T>& part : parts) {
-      copy_channels(part.data, part.channels, copy_.data() + first, s.in, part.channels, s.n * s.h * s.w);
+      copy_channels(part.data, part.channels, copy_.data() + first, channels, part.channels, pixels);
       first += part.channels;
     }
   }
@@ -40,63 +41,101 @@ class Joined {
   const T* data_;
 };
 
+int64_t input_pixels(const ConvShape& s, const ConvSites& sites) {
+  return sites.x == nullptr ? s.n * s.h * s.w : sites.x->count();
+}
+
+/// A convolution whose kernel is one pixel sees no neighbours: of a list of pixels it is one of a single row.
+bool is_pointwise(const ConvShape& s) {
+  return s.kernel_h == 1 && s.kernel_w == 1 && s.stride == 1 && s.padding == 0;
+}
+
+ConvShape as_row(const ConvShape& s, const ConvSites& sites) {
+  ConvShape row = s;
+  row.n = row.h = 1;
+  row.w = sites.x->count();
+  return row;
+}
+
 }  // namespace
 
 template <class T>
-void conv_forward(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* weight, const T* bias,
-                  T* y) {
+void conv_forward(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* weight, const T* bias, T* y,
+                  const ConvSites& sites) {
   const int outputs = plan.outputs(s, ConvPass::kForward);
-  if (outputs == 0) return direct_forward(s, Joined<T>(s, x).data(), weight, bias, y);
-  if (winograd_takes(x)) return winograd_forward(outputs, s, x, weight, bias, y);
-  const Joined<T> joined(s, x);
+  if (outputs > 0 && winograd_takes(x)) return winograd_forward(outputs, s, x, weight, bias, y, sites);
+  const Joined<T> joined(input_pixels(s, sites), s.in, x);
+  if (outputs == 0) {
+    if (sites.x != nullptr && is_pointwise(s)) {
+      return direct_forward(as_row(s, sites), joined.data(), weight, bias, y);
+    }
+    return direct_forward(s, joined.data(), weight, bias, y, sites);
+  }
   const Part<const T> whole{joined.data(), s.in};
-  winograd_forward(outputs, s, Parts<const T>(&whole, 1), weight, bias, y);
+  winograd_forward(outputs, s, Parts<const T>(&whole, 1), weight, bias, y, sites);
 }
 
 template <class T>
 void conv_input_gradient(const ConvShape& s, ConvPlan& plan, const T* dy, const T* weight, const T* bias,
-                         Parts<T> dx) {
+                         Parts<T> dx, const ConvSites& sites) {
   const int outputs = plan.outputs(s, ConvPass::kInputGradient);
   if (outputs > 0 && !s.reflect && winograd_takes(dx)) {
-    return winograd_input_gradient(outputs, s, dy, weight, bias, dx);
+    return winograd_input_gradient(outputs, s, dy, weight, bias, dx, sites);
   }
-  const auto run = [&](T* to) {
+  const auto run = [&](T* to, const ActiveSites* x_sites) {
     const Part<T> whole{to, s.in};
-    if (outputs == 0) return direct_input_gradient(s, dy, weight, bias, to);
-    winograd_input_gradient(outputs, s, dy, weight, bias, Parts<T>(&whole, 1));
+    if (outputs > 0) {
+      return winograd_input_gradient(outputs, s, dy, weight, bias, Parts<T>(&whole, 1), {x_sites, sites.y});
+    }
+    if (sites.x != nullptr && is_pointwise(s)) {
+      return direct_input_gradient(as_row(s, sites), dy, weight, bias, to);
+    }
+    direct_input_gradient(s, dy, weight, bias, to, {x_sites, sites.y});
   };
   const auto run_folded = [&](T* to) {
-    if (!s.reflect) return run(to);
+    if (!s.reflect) return run(to, sites.x);
     const int64_t h = s.h + 2 * s.padding, w = s.w + 2 * s.padding;
-    const Scratch<T> padded(s.n * h * w * s.in);
-    run(padded.data());
-    fold_reflection(Image<T>{padded.data(), s.n, h, w, s.in}, s.padding, to);
+    if (sites.x == nullptr) {
+      const Scratch<T> padded(s.n * h * w * s.in);
+      run(padded.data(), nullptr);
+      return fold_reflection(Image<T>{padded.data(), s.n, h, w, s.in}, s.padding, to);
+    }
+    const ActiveSites padded_sites = sites.x->mirrored(s.padding);
+    const Scratch<T> padded(padded_sites.count() * s.in);
+    run(padded.data(), &padded_sites);
+    fold_reflection(Image<T>{padded.data(), s.n, h, w, s.in, 0, &padded_sites}, s.padding, to, sites.x);
   };
   if (dx.size() == 1) return run_folded(dx.front().data);
-  const Scratch<T> whole(s.n * s.h * s.w * s.in);
+  const int64_t pixels = input_pixels(s, sites);
+  const Scratch<T> whole(pixels * s.in);
   run_folded(whole.data());
   int64_t first = 0;
   for (const Part<T>& part : dx) {
     if (part.data != nullptr) {
-      Joined<T>::copy_channels(whole.data() + first, s.in, part.data, part.channels, part.channels,
-                               s.n * s.h * s.w);
+      Joined<T>::copy_channels(whole.data() + first, s.in, part.data, part.channels, part.channels, pixels);
     }
     first += part.channels;
   }
 }
 
 template <class T>
-void conv_weight_gradient(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* dy, T* dweight) {
+void conv_weight_gradient(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T* dy, T* dweight,
+                          const ConvSites& sites) {
   const int outputs = plan.outputs(s, ConvPass::kWeightGradient);
-  if (outputs == 0) return direct_weight_gradient(s, Joined<T>(s, x).data(), dy, dweight);
-  if (winograd_takes(x)) return winograd_weight_gradient(outputs, s, x, dy, dweight);
-  const Joined<T> joined(s, x);
+  if (outputs > 0 && winograd_takes(x)) return winograd_weight_gradient(outputs, s, x, dy, dweight, sites);
+  const Joined<T> joined(input_pixels(s, sites), s.in, x);
+  if (outputs == 0) {
+    if (sites.x != nullptr && is_pointwise(s)) {
+      return direct_weight_gradient(as_row(s, sites), joined.data(), dy, dweight);
+    }
+    return direct_weight_gradient(s, joined.data(), dy, dweight, sites);
+  }
   const Part<const T> whole{joined.data(), s.in};
-  winograd_weight_gradient(outputs, s, Parts<const T>(&whole, 1), dy, dweight);
+  winograd_weight_gradient(outputs, s, Parts<const T>(&whole, 1), dy, dweight, sites);
 }
 
 template <class T>
-void fold_reflection(const Image<T>& padded, int64_t padding, T* dx) {
+void fold_reflection(const Image<T>& padded, int64_t padding, T* dx, const ActiveSites* sites) {
   const int64_t h = padded.h - 2 * padding, w = padded.w - 2 * padding, c = padded.channels;
   // The padded rows that show row i: itself and up to two mirrored ones.
   struct Sources {
@@ -110,6 +149,27 @@ void fold_reflection(const Image<T>& padded, int64_t padding, T* dx) {
     if (beyond >= size && beyond < size + padding) result.at[result.count++] = beyond + padding;
     return result;
   };
+  if (sites != nullptr) {
+    parallel_blocks(padded.n * h, 4, [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) {
+        const Sources rows = sources(i % h, h);
+        for (int64_t j = 0; j < w; ++j) {
+          const int64_t site = sites->site(i / h, i % h, j);
+          if (site < 0) continue;
+          const Sources columns = sources(j, w);
+          T* const to = dx + site * c;
+          std::fill_n(to, c, T{});
+          for (int r = 0; r < rows.count; ++r) {
+            for (int q = 0; q < columns.count; ++q) {
+              const T* const from = padded.pixel(i / h, rows.at[r], columns.at[q]);
+              for (int64_t k = 0; k < c; ++k) to[k] += from[k];
+            }
+          }
+        }
+      }
+    });
+    return;
+  }
   parallel_blocks(padded.n * h, 4, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
       const Sources rows = sources(i % h, h);
@@ -136,16 +196,18 @@ void fold_reflection(const Image<T>& padded, int64_t padding, T* dx) {
 }
 
 template void conv_forward(const ConvShape&, ConvPlan&, Parts<const float>, const float*, const float*,
-                           float*);
+                           float*, const ConvSites&);
 template void conv_forward(const ConvShape&, ConvPlan&, Parts<const double>, const double*, const double*,
-                           double*);
+                           double*, const ConvSites&);
 template void conv_input_gradient(const ConvShape&, ConvPlan&, const float*, const float*, const float*,
-                                  Parts<float>);
+                                  Parts<float>, const ConvSites&);
 template void conv_input_gradient(const ConvShape&, ConvPlan&, const double*, const double*, const double*,
-                                  Parts<double>);
-template void conv_weight_gradient(const ConvShape&, ConvPlan&, Parts<const float>, const float*, float*);
-template void conv_weight_gradient(const ConvShape&, ConvPlan&, Parts<const double>, const double*, double*);
-template void fold_reflection(const Image<float>&, int64_t, float*);
-template void fold_reflection(const Image<double>&, int64_t, double*);
+                                  Parts<double>, const ConvSites&);
+template void conv_weight_gradient(const ConvShape&, ConvPlan&, Parts<const float>, const float*, float*,
+                                   const ConvSites&);
+template void conv_weight_gradient(const ConvShape&, ConvPlan&, Parts<const double>, const double*, double*,
+                                   const ConvSites&);
+template void fold_reflection(const Image<float>&, int64_t, float*, const ActiveSites*);
+template void fold_reflection(const Image<double>&, int64_t, double*, const ActiveSites*);
 
 }  // namespace opaline::kernels

@@ -26,12 +26,12 @@ struct ConvShape {
   int64_t out_h() const { return (h + 2 * padding - kernel_h) / stride + 1; }
   int64_t out_w() const { return (w + 2 * padding - kernel_w) / stride + 1; }
   template <class T>
-  Image<T> input(const T* x) const {
-    return {x, n, h, w, in, reflect ? padding : 0};
+  Image<T> input(const T* x, const ActiveSites* sites = nullptr) const {
+    return {x, n, h, w, in, reflect ? padding : 0, sites};
   }
   template <class T>
-  Image<T> output(const T* y) const {
-    return {y, n, out_h(), out_w(), out, 0};
+  Image<T> output(const T* y, const ActiveSites* sites = nullptr) const {
+    return {y, n, out_h(), out_w(), out, 0, sites};
   }
 };
 

@@ -1,6 +1,7 @@
 #include "core/kernels/direct.h"
 
 #include <algorithm>
+#include <vector>
 
 #include "core/kernels/panels.h"
 #include "core/kernels/scratch.h"
@@ -56,18 +57,27 @@ class Correlation {
       run_border(image, row, count, end_, out_w_, y);
       return;
     }
-    const int64_t width = (out_w_ - 1) * stride_ + kernel_w_, line = width * x_.channels;
+    run_copy(image, first, 0, count, out_w_, y, y_.row_stride);
+  }
+
+  /// `count` rows of `columns` outputs from (first, column) on, to `y` with `y_line` from a row to the next.
+  void run_copy(int64_t image, int64_t first, int64_t column, int64_t count, int64_t columns, T* y,
+                int64_t y_line) const {
+    const int64_t row = top_ + first * stride_, rows = (count - 1) * stride_ + weights_.kernel_h;
+    const int64_t width = (columns - 1) * stride_ + kernel_w_, line = width * x_.channels;
     const Scratch<T> copy(rows * line);
-    for (int64_t i = 0; i < rows; ++i) x_.copy_row(image, row + i, left_, width, copy.data() + i * line);
+    for (int64_t i = 0; i < rows; ++i) {
+      x_.copy_row(image, row + i, left_ + column * stride_, width, copy.data() + i * line);
+    }
     multiply({.a = copy.data(),
               .a_line = stride_ * line,
               .a_stride = stride_ * x_.channels,
               .a_run_stride = line,
               .c = y,
-              .c_line = y_.row_stride,
+              .c_line = y_line,
               .c_stride = y_.pixel_stride,
               .lines = count,
-              .rows = out_w_});
+              .rows = columns});
   }
 
  private:
@@ -115,6 +125,47 @@ class Correlation {
   int64_t begin_ = 0, end_ = 0;  // columns whose kernels stay within the image's
 };
 
+/// The pixels `first`, `first` + `step`, .. of a row or column.
+struct Lattice {
+  int64_t first = 0, step = 1;
+
+  /// How many of them lie before `end`.
+  int64_t before(int64_t end) const { return end <= first ? 0 : (end - first + step - 1) / step; }
+};
+
+/// The same as below where only some outputs exist: those of `sites` that lie on the lattices, of which (i,
+/// j) is output (i, j) of the correlation. y has `channels` channels.
+template <class T>
+void correlate_sites(const Image<T>& x, int64_t top, int64_t left, int64_t stride,
+                     const PackedWeights<T>& weights, const ActiveSites& sites, const Lattice& rows,
+                     const Lattice& columns, T* y, int64_t channels) {
+  constexpr int64_t kPixelsPerUnit = 256;
+  struct Unit {
+    int64_t image, row, column, rows, columns;  // outputs
+    T* y;
+    int64_t line;
+  };
+  std::vector<Unit> units;
+  for (const ActiveSites::Rectangle& r : sites.rectangles()) {
+    const int64_t top_row = rows.before(r.row), end_row = rows.before(r.row + r.rows);
+    const int64_t first = columns.before(r.column), count = columns.before(r.column + r.columns) - first;
+    if (count == 0) continue;
+    const int64_t each = std::max<int64_t>(1, kPixelsPerUnit / count);
+    for (int64_t row = top_row; row < end_row; row += each) {
+      const int64_t from_row = rows.first + row * rows.step - r.row;
+      const int64_t site = r.site + from_row * r.line + columns.first + first * columns.step - r.column;
+      units.push_back({r.image, row, first, std::min(each, end_row - row), count, y + site * channels,
+                       rows.step * r.line * channels});
+    }
+  }
+  const OutputView<T> view{y, 0, 0, columns.step * channels};
+  const Correlation<T> correlation(x, top, left, stride, weights, 0, view);
+  parallel_for(static_cast<int64_t>(units.size()), [&](int64_t i) {
+    const Unit& unit = units[static_cast<size_t>(i)];
+    correlation.run_copy(unit.image, unit.row, unit.column, unit.rows, unit.columns, unit.y, unit.line);
+  });
+}
+
 /// y (x.n x out_h x out_w) = correlation of x with the weights; the first kernel's first pixel is (top,
 /// left).
 template <class T>
@@ -133,14 +184,34 @@ void correlate(const Image<T>& x, int64_t top, int64_t left, int64_t stride, con
   });
 }
 
+/// The bias, or zeros, at the sites on the lattices.
+template <class T>
+void fill_sites(const ActiveSites& sites, const Lattice& rows, const Lattice& columns, const T* bias, T* y,
+                int64_t channels) {
+  for (const ActiveSites::Rectangle& r : sites.rectangles()) {
+    for (int64_t i = rows.before(r.row); i < rows.before(r.row + r.rows); ++i) {
+      const int64_t line = r.site + (rows.first + i * rows.step - r.row) * r.line;
+      for (int64_t j = columns.before(r.column); j < columns.before(r.column + r.columns); ++j) {
+        T* const to = y + (line + columns.first + j * columns.step - r.column) * channels;
+        for (int64_t k = 0; k < channels; ++k) to[k] = bias != nullptr ? bias[k] : T{};
+      }
+    }
+  }
+}
+
 }  // namespace
 
 template <class T>
-void direct_forward(const ConvShape& s, const T* x, const T* weight, const T* bias, T* y) {
+void direct_forward(const ConvShape& s, const T* x, const T* weight, const T* bias, T* y,
+                    const ConvSites& sites) {
   PackedWeights<T> packed(s.kernel_h, s.kernel_w * s.in, s.out, bias);
   const int64_t taps = s.kernel_h * s.kernel_w;
   packed.fill_filters(weight, s.in, taps, s.in * taps, taps, [&](int64_t tap) { return tap * s.in; });
-  correlate(s.input(x), -s.padding, -s.padding, s.stride, packed, s.out_h(), s.out_w(),
+  const Image<T> image = s.input(x, sites.x);
+  if (sites.y != nullptr) {
+    return correlate_sites(image, -s.padding, -s.padding, s.stride, packed, *sites.y, {}, {}, y, s.out);
+  }
+  correlate(image, -s.padding, -s.padding, s.stride, packed, s.out_h(), s.out_w(),
             OutputView<T>{y, s.out_h() * s.out_w() * s.out, s.out_w() * s.out, s.out});
 }
 
@@ -148,7 +219,8 @@ void direct_forward(const ConvShape& s, const T* x, const T* weight, const T* bi
 // rows of one class c = q mod stride meet the kernel rows c, c + stride, .. and nothing else, so each of the
 // stride^2 classes of pixels is a convolution of dy, without the zeros that dilation would multiply.
 template <class T>
-void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, const T* bias, T* dx) {
+void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, const T* bias, T* dx,
+                           const ConvSites& sites) {
   const int64_t border = s.reflect ? s.padding : 0;
   const int64_t h = s.h + 2 * border, w = s.w + 2 * border, padding = s.padding - border;
   struct Axis {
@@ -168,6 +240,10 @@ void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, con
       const OutputView<T> out{dx + (rows.first * w + columns.first) * s.in, h * w * s.in, s.stride * w * s.in,
                               s.stride * s.in};
       if (rows.taps == 0 || columns.taps == 0) {  // no tap reaches these pixels: the bias alone
+        if (sites.x != nullptr) {
+          fill_sites(*sites.x, {rows.first, s.stride}, {columns.first, s.stride}, bias, dx, s.in);
+          continue;
+        }
         parallel_for(s.n * rows.count, [&](int64_t i) {
           T* to = out.data + i / rows.count * out.image_stride + i % rows.count * out.row_stride;
           for (int64_t x = 0; x < columns.count; ++x, to += out.pixel_stride) {
@@ -183,14 +259,24 @@ void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, con
         if (kh < 0 || kh % s.stride != 0 || kw < 0 || kw % s.stride != 0) return -1;
         return ((rows.taps - 1 - kh / s.stride) * columns.taps + columns.taps - 1 - kw / s.stride) * s.out;
       });
-      correlate(s.output(dy), rows.top, columns.top, 1, packed, rows.count, columns.count, out);
+      const Image<T> image = s.output(dy, sites.y);
+      if (sites.x != nullptr) {
+        correlate_sites(image, rows.top, columns.top, 1, packed, *sites.x, {rows.first, s.stride},
+                        {columns.first, s.stride}, dx, s.in);
+        continue;
+      }
+      correlate(image, rows.top, columns.top, 1, packed, rows.count, columns.count, out);
     }
   }
 }
 
-template void direct_forward(const ConvShape&, const float*, const float*, const float*, float*);
-template void direct_forward(const ConvShape&, const double*, const double*, const double*, double*);
-template void direct_input_gradient(const ConvShape&, const float*, const float*, const float*, float*);
-template void direct_input_gradient(const ConvShape&, const double*, const double*, const double*, double*);
+template void direct_forward(const ConvShape&, const float*, const float*, const float*, float*,
+                             const ConvSites&);
+template void direct_forward(const ConvShape&, const double*, const double*, const double*, double*,
+                             const ConvSites&);
+template void direct_input_gradient(const ConvShape&, const float*, const float*, const float*, float*,
+                                    const ConvSites&);
+template void direct_input_gradient(const ConvShape&, const double*, const double*, const double*, double*,
+                                    const ConvSites&);
 
 }  // namespace opaline::kernels

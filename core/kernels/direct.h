@@ -7,12 +7,15 @@
 namespace opaline::kernels {
 
 template <class T>
-void direct_forward(const ConvShape& s, const T* x, const T* weight, const T* bias, T* y);
+void direct_forward(const ConvShape& s, const T* x, const T* weight, const T* bias, T* y,
+                    const ConvSites& sites = {});
 
 template <class T>
-void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, const T* bias, T* dx);
+void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, const T* bias, T* dx,
+                           const ConvSites& sites = {});
 
 template <class T>
-void direct_weight_gradient(const ConvShape& s, const T* x, const T* dy, T* dweight);
+void direct_weight_gradient(const ConvShape& s, const T* x, const T* dy, T* dweight,
+                            const ConvSites& sites = {});
 
 }  // namespace opaline::kernels

@@ -17,29 +17,43 @@ int64_t blocks_of(int64_t count, int64_t block) {
 /// The pixels of dy, cut into chunks of whole rows or parts of one that stay in the innermost caches, and
 /// groups of chunks that are summed apart.
 struct PixelChunks {
+  struct Chunk {
+    int64_t image, row, column, lines, length;
+    int64_t site, line;  ///< of the first pixel in memory, and from a row to the next
+  };
   static constexpr int64_t kPixels = 128;
-  int64_t out_h, out_w, lines, length, across, per_image, count, groups, per_group;
+  std::vector<Chunk> chunks;
+  int64_t lines = 1, length = 1;  ///< most of a chunk
+  int64_t count, groups, per_group;
 
   /// `owners`: units of work without groups.
-  PixelChunks(const ConvShape& s, int64_t owners)
-      : out_h(s.out_h()),
-        out_w(s.out_w()),
-        lines(std::clamp<int64_t>(kPixels / std::max<int64_t>(out_w, 1), 1, std::max<int64_t>(out_h, 1))),
-        length(std::min(kPixels, out_w)),
-        across(blocks_of(out_w, kPixels)),
-        per_image(across * blocks_of(out_h, lines)),
-        count(s.n * per_image) {
+  PixelChunks(const ConvShape& s, const ActiveSites* sites, int64_t owners) {
+    const int64_t h = s.out_h(), w = s.out_w();
+    if (sites == nullptr) {
+      for (int64_t image = 0; image < s.n; ++image) cut({image, 0, 0, h, w, image * h * w, w});
+    } else {
+      for (const ActiveSites::Rectangle& r : sites->rectangles()) cut(r);
+    }
+    count = static_cast<int64_t>(chunks.size());
     constexpr int64_t kUnits = 16;
     groups = std::clamp<int64_t>(blocks_of(kUnits, owners), 1, std::max<int64_t>(1, count / 8));
     per_group = blocks_of(count, groups);
   }
 
-  struct Chunk {
-    int64_t image, row, column, lines, length;
-  };
-  Chunk operator[](int64_t i) const {
-    const int64_t row = i % per_image / across * lines, column = i % across * kPixels;
-    return {i / per_image, row, column, std::min(lines, out_h - row), std::min(length, out_w - column)};
+  const Chunk& operator[](int64_t i) const { return chunks[static_cast<size_t>(i)]; }
+
+ private:
+  void cut(const ActiveSites::Rectangle& r) {
+    const int64_t rows =
+        std::clamp<int64_t>(kPixels / std::max<int64_t>(r.columns, 1), 1, std::max<int64_t>(r.rows, 1));
+    for (int64_t i = 0; i < r.rows; i += rows) {
+      for (int64_t j = 0; j < r.columns; j += kPixels) {
+        chunks.push_back({r.image, r.row + i, r.column + j, std::min(rows, r.rows - i),
+                          std::min(kPixels, r.columns - j), r.site + i * r.line + j, r.line});
+        lines = std::max(lines, chunks.back().lines);
+        length = std::max(length, chunks.back().length);
+      }
+    }
   }
 };
 
@@ -84,10 +98,10 @@ void add_to_double(const T* from, int64_t count, bool add, double* to) {
 template <class T>
 class WeightBlock {
  public:
-  WeightBlock(const ConvShape& s, const T* x, const T* dy, const PixelChunks& chunks,
+  WeightBlock(const ConvShape& s, const Image<T>& x, const T* dy, const PixelChunks& chunks,
               const WeightBlocks& blocks, int64_t block)
       : s_(s),
-        x_(s.input(x)),
+        x_(x),
         dy_(dy),
         chunks_(chunks),
         first_in_(block / blocks.across * blocks.in),
@@ -145,15 +159,13 @@ class WeightBlock {
   }
 
   void copy_gradients(const PixelChunks::Chunk& chunk) const {
-    const T* const from =
-        dy_ + ((chunk.image * chunks_.out_h + chunk.row) * chunks_.out_w + chunk.column) * s_.out +
-        first_out_;
+    const T* const from = dy_ + chunk.site * s_.out + first_out_;
     for (int64_t p = 0; p < padded_out_; p += width_) {
       const int64_t valid = std::min(width_, out_ - p);
       T* to = b_.data() + p * chunk.lines * chunk.length;
       for (int64_t l = 0; l < chunk.lines; ++l) {
         for (int64_t j = 0; j < chunk.length; ++j, to += width_) {
-          std::copy_n(from + (l * chunks_.out_w + j) * s_.out + p, valid, to);
+          std::copy_n(from + (l * chunk.line + j) * s_.out + p, valid, to);
           std::fill(to + valid, to + width_, T{});
         }
       }
@@ -194,7 +206,7 @@ class WeightBlock {
   }
 
   const ConvShape& s_;
-  Image<T> x_;
+  const Image<T>& x_;
   const T* dy_;
   const PixelChunks& chunks_;
   int64_t first_in_, first_out_, in_, out_, width_, padded_out_, pixel_, span_;
@@ -233,19 +245,22 @@ void join(const ConvShape& s, const double* partial, int64_t groups, T* dweight)
 }  // namespace
 
 template <class T>
-void direct_weight_gradient(const ConvShape& s, const T* x, const T* dy, T* dweight) {
+void direct_weight_gradient(const ConvShape& s, const T* x, const T* dy, T* dweight, const ConvSites& sites) {
+  const Image<T> image = s.input(x, sites.x);
   const WeightBlocks blocks(s, tiles<T>().width(), static_cast<int64_t>(sizeof(T)));
-  const PixelChunks chunks(s, blocks.count());
+  const PixelChunks chunks(s, sites.y, blocks.count());
   const int64_t sums = s.kernel_h * s.kernel_w * s.in * s.out;
   const Scratch<double> partial(chunks.groups * sums);
   parallel_for(chunks.groups * blocks.count(), [&](int64_t unit) {
     const int64_t group = unit / blocks.count();
-    WeightBlock<T>(s, x, dy, chunks, blocks, unit % blocks.count()).run(group, partial.data() + group * sums);
+    WeightBlock<T>(s, image, dy, chunks, blocks, unit % blocks.count())
+        .run(group, partial.data() + group * sums);
   });
   join(s, partial.data(), chunks.groups, dweight);
 }
 
-template void direct_weight_gradient(const ConvShape&, const float*, const float*, float*);
-template void direct_weight_gradient(const ConvShape&, const double*, const double*, double*);
+template void direct_weight_gradient(const ConvShape&, const float*, const float*, float*, const ConvSites&);
+template void direct_weight_gradient(const ConvShape&, const double*, const double*, double*,
+                                     const ConvSites&);
 
 }  // namespace opaline::kernels

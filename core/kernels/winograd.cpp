@@ -125,24 +125,57 @@ struct Outputs {
   /// Transforms `product`, of the tiles [begin, begin + count) and the output channels [first, last), back.
   void write(const T* product, Frequencies at, int64_t begin, int64_t count, int64_t first,
              int64_t last) const {
+    const Scratch<T> patch(grid.sites == nullptr ? 0 : k.outputs * k.outputs * (last - first));
     int64_t part_begin = 0;
     for (const Part<T>& part : y) {
       const int64_t from = std::max(part_begin, first), to = std::min(part_begin + part.channels, last);
       at.first = from - first;
       for (int64_t i = 0; part.data != nullptr && from < to && i < count; ++i) {
         const TileGrid::Tile tile = grid[begin + i];
-        k.output(product + i * at.width, at, to - from, bias.empty() ? nullptr : bias.data() + from,
-                 grid.pixel(part, tile) + (from - part_begin), grid.columns * part.channels, part.channels,
-                 std::min(k.outputs, grid.rows - tile.row), std::min(k.outputs, grid.columns - tile.column));
+        const T* const values = product + i * at.width;
+        const T* const offset = bias.empty() ? nullptr : bias.data() + from;
+        const int64_t rows = std::min(k.outputs, grid.rows - tile.row);
+        const int64_t columns = std::min(k.outputs, grid.columns - tile.column);
+        T* lines[kMaxTile];
+        if (find_lines(part, tile, rows, columns, from - part_begin, lines)) {
+          k.output(values, at, to - from, offset, lines, part.channels, rows, columns);
+          continue;
+        }
+        const int64_t channels = to - from;
+        for (int64_t row = 0; row < rows; ++row) lines[row] = patch.data() + row * k.outputs * channels;
+        k.output(values, at, channels, offset, lines, channels, rows, columns);
+        for (int64_t row = 0; row < rows; ++row) {
+          for (int64_t column = 0; column < columns; ++column) {
+            const int64_t site = grid.sites->site(tile.image, tile.row + row, tile.column + column);
+            if (site < 0) continue;
+            std::copy_n(lines[row] + column * channels, channels,
+                        part.data + site * part.channels + from - part_begin);
+          }
+        }
       }
       part_begin += part.channels;
     }
+  }
+
+  /// Where the rows of a tile begin, from a channel on, if all its pixels exist.
+  bool find_lines(const Part<T>& part, const TileGrid::Tile& tile, int64_t rows, int64_t columns,
+                  int64_t channel, T** lines) const {
+    for (int64_t row = 0; row < rows; ++row) {
+      int64_t first = (tile.image * grid.rows + tile.row + row) * grid.columns + tile.column;
+      if (grid.sites != nullptr) {
+        first = grid.sites->site(tile.image, tile.row + row, tile.column);
+        const int64_t last = grid.sites->site(tile.image, tile.row + row, tile.column + columns - 1);
+        if (first < 0 || last != first + columns - 1) return false;
+      }
+      lines[row] = part.data + first * part.channels + channel;
+    }
+    return true;
   }
 };
 
 /// Where the frequencies of `tiles` transformed tiles of `channels` lie, in panels of `width`: [frequency]
 /// [panel][tile][width], so that transforms and products run through memory in order.
-inline Frequencies layout(int64_t tiles, int64_t channels, int64_t width, int64_t lanes) {
+Frequencies layout(int64_t tiles, int64_t channels, int64_t width, int64_t lanes) {
   return {tiles * channels + lanes, tiles * width, width};
 }
 
@@ -201,8 +234,9 @@ void convolve_by_channels(const WinogradKernels<T>& k, const std::vector<Source<
 /// y = correlation of x with the filters; parts of y without data are left out.
 template <class T>
 void convolve(const WinogradKernels<T>& k, const std::vector<Source<T>>& x, const FilterTaps<T>& taps,
-              const T* bias, int64_t rows, int64_t columns, Parts<T> y) {
-  const TileGrid grid(k.outputs, x.front().image.n, rows, columns);
+              const T* bias, int64_t rows, int64_t columns, Parts<T> y, const ActiveSites* y_sites) {
+  const TileGrid grid(k.outputs, x.front().image.n, rows, columns, y_sites);
+  if (grid.count == 0) return;
   const Outputs<T> outputs{k, grid, y, padded(bias, taps.out, panels_of(k, taps.out) * 2 * k.lanes)};
   // By channels where the tiles take less memory than the filters, and there is enough for several threads.
   constexpr int64_t kLeastPanels = 8, kMostTiles = 512;
@@ -220,39 +254,41 @@ bool winograd_takes(Parts<T> parts) {
 }
 
 template <class T>
-void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias,
-                      T* y) {
+void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias, T* y,
+                      const ConvSites& sites) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   const KernelBlocks blocks(k, s.kernel_h, s.in);
   const int64_t kernel = s.kernel_h * s.kernel_w;
   const Part<T> whole{y, s.out};
-  convolve(k, sources(blocks, images(s, x), s.padding),
+  convolve(k, sources(blocks, images(s, x, sites.x), s.padding),
            FilterTaps<T>{blocks, weight, s.in, s.out, kernel, kernel * s.in, false}, bias, s.out_h(),
-           s.out_w(), Parts<T>(&whole, 1));
+           s.out_w(), Parts<T>(&whole, 1), sites.y);
 }
 
 template <class T>
 void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const T* weight, const T* bias,
-                             Parts<T> dx) {
+                             Parts<T> dx, const ConvSites& sites) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
   const int64_t border = s.reflect ? s.padding : 0;
   const KernelBlocks blocks(k, s.kernel_h, s.out);
   const int64_t kernel = s.kernel_h * s.kernel_w;
-  convolve(k, sources(blocks, std::vector<Image<T>>{s.output(dy)}, s.kernel_h - 1 - s.padding + border),
+  convolve(k,
+           sources(blocks, std::vector<Image<T>>{s.output(dy, sites.y)}, s.kernel_h - 1 - s.padding + border),
            FilterTaps<T>{blocks, weight, s.out, s.in, kernel * s.in, kernel, true}, bias, s.h + 2 * border,
-           s.w + 2 * border, dx);
+           s.w + 2 * border, dx, sites.x);
 }
 
 template bool winograd_takes(Parts<float>);
 template bool winograd_takes(Parts<const float>);
 template bool winograd_takes(Parts<double>);
 template bool winograd_takes(Parts<const double>);
-template void winograd_forward(int, const ConvShape&, Parts<const float>, const float*, const float*, float*);
+template void winograd_forward(int, const ConvShape&, Parts<const float>, const float*, const float*, float*,
+                               const ConvSites&);
 template void winograd_forward(int, const ConvShape&, Parts<const double>, const double*, const double*,
-                               double*);
+                               double*, const ConvSites&);
 template void winograd_input_gradient(int, const ConvShape&, const float*, const float*, const float*,
-                                      Parts<float>);
+                                      Parts<float>, const ConvSites&);
 template void winograd_input_gradient(int, const ConvShape&, const double*, const double*, const double*,
-                                      Parts<double>);
+                                      Parts<double>, const ConvSites&);
 
 }  // namespace opaline::kernels

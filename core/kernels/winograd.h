@@ -16,15 +16,17 @@ bool winograd_takes(Parts<T> parts);
 /// `outputs` as winograd_fits() allows: m of F(m x m, 3 x 3), or 3 for F(3 x 3, 4 x 4). Other arguments as in
 /// conv.h.
 template <class T>
-void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias,
-                      T* y);
+void winograd_forward(int outputs, const ConvShape& s, Parts<const T> x, const T* weight, const T* bias, T* y,
+                      const ConvSites& sites = {});
 
-/// With s.reflect, dx is the gradient of the padded image, n x (h + 2 padding) x (w + 2 padding) x in.
+/// With s.reflect, dx is the gradient of the padded image, n x (h + 2 padding) x (w + 2 padding) x in, and
+/// sites.x are those of that image.
 template <class T>
 void winograd_input_gradient(int outputs, const ConvShape& s, const T* dy, const T* weight, const T* bias,
-                             Parts<T> dx);
+                             Parts<T> dx, const ConvSites& sites = {});
 
 template <class T>
-void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight);
+void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight,
+                              const ConvSites& sites = {});
 
 }  // namespace opaline::kernels

@@ -108,7 +108,7 @@ HWY_INLINE void interpolate(D d, const V* x, V* y) {
 // to kPoints + 3 - kTaps outputs a side.
 
 template <class T, int kPoints>
-HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int64_t channels, T* to,
+HWY_ATTR void input(const T* const* from, int64_t pixel_stride, int64_t channels, T* to,
                     const Frequencies& f) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
@@ -121,10 +121,10 @@ HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int
 #pragma GCC unroll 8
     for (int j = 0; j < kTile; ++j) {
       V x[kTile], r[kTile];
-      const T* const column = from + j * pixel_stride + c;
+      const int64_t offset = j * pixel_stride + c;
 #pragma GCC unroll 8
       for (int i = 0; i < kTile; ++i) {
-        const T* const at = column + i * row_stride;
+        const T* const at = from[i] + offset;
         x[i] = whole ? hn::LoadU(d, at) : masked_load(mask, d, at);
       }
       transform_input<kPoints>(d, x, r);
@@ -143,8 +143,8 @@ HWY_ATTR void input(const T* from, int64_t row_stride, int64_t pixel_stride, int
 }
 
 template <class T, int kPoints, int kTaps>
-HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_stride, int64_t channels,
-                              T* to, const Frequencies& f) {
+HWY_ATTR void output_gradient(const T* const* from, int64_t pixel_stride, int64_t channels, T* to,
+                              const Frequencies& f) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   constexpr int kTile = Winograd<kPoints>::kTile, kOutputs = kTile + 1 - kTaps;
@@ -156,10 +156,10 @@ HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_s
 #pragma GCC unroll 8
     for (int j = 0; j < kOutputs; ++j) {
       V x[kOutputs], r[kTile];
-      const T* const column = from + j * pixel_stride + c;
+      const int64_t offset = j * pixel_stride + c;
 #pragma GCC unroll 8
       for (int i = 0; i < kOutputs; ++i) {
-        const T* const at = column + i * row_stride;
+        const T* const at = from[i] + offset;
         x[i] = whole ? hn::LoadU(d, at) : masked_load(mask, d, at);
       }
       evaluate<kPoints, kOutputs, false>(d, x, r);
@@ -178,8 +178,8 @@ HWY_ATTR void output_gradient(const T* from, int64_t row_stride, int64_t pixel_s
 }
 
 template <class T, int kPoints, int kTaps>
-HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, const T* bias, T* y,
-                     int64_t row_stride, int64_t pixel_stride, int64_t rows, int64_t columns) {
+HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, const T* bias, T* const* y,
+                     int64_t pixel_stride, int64_t rows, int64_t columns) {
   const hn::ScalableTag<T> d;
   using V = hn::Vec<decltype(d)>;
   constexpr int kTile = Winograd<kPoints>::kTile, kOutputs = kTile + 1 - kTaps;
@@ -203,11 +203,12 @@ HWY_ATTR void output(const T* from, const Frequencies& f, int64_t channels, cons
     for (int i = 0; i < kOutputs; ++i) {
       V r[kOutputs];
       interpolate<kPoints, kOutputs, false>(d, half[i], r);
-      T* const line = y + i * row_stride + c;
       if (whole) {
+        T* const line = y[i] + c;
 #pragma GCC unroll 8
         for (int j = 0; j < kOutputs; ++j) hn::StoreU(hn::Add(r[j], offset), d, line + j * pixel_stride);
       } else if (i < rows) {
+        T* const line = y[i] + c;
 #pragma GCC unroll 8
         for (int j = 0; j < kOutputs; ++j) {
           if (j < columns) hn::BlendedStore(hn::Add(r[j], offset), mask, d, line + j * pixel_stride);

@@ -25,15 +25,16 @@ struct WinogradKernels {
   int64_t tile = 0;     ///< m + r - 1
   int64_t lanes = 0;
 
-  /// to = B^T d B for a patch d of tile x tile pixels; channels up to a multiple of the lanes become zero.
-  void (*input)(const T* d, int64_t row_stride, int64_t pixel_stride, int64_t channels, T* to,
+  /// to = B^T d B for a patch d of tile x tile pixels, whose rows begin at d[0], d[1], ..; channels up to a
+  /// multiple of the lanes become zero.
+  void (*input)(const T* const* d, int64_t pixel_stride, int64_t channels, T* to,
                 const Frequencies& f) = nullptr;
   /// to = A dy A^T for a patch dy of m x m pixels: the gradient of `output`.
-  void (*output_gradient)(const T* dy, int64_t row_stride, int64_t pixel_stride, int64_t channels, T* to,
+  void (*output_gradient)(const T* const* dy, int64_t pixel_stride, int64_t channels, T* to,
                           const Frequencies& f) = nullptr;
   /// y = A^T from A + bias (of a multiple of the lanes, or null) for the first `rows` x `columns` pixels.
-  void (*output)(const T* from, const Frequencies& f, int64_t channels, const T* bias, T* y,
-                 int64_t row_stride, int64_t pixel_stride, int64_t rows, int64_t columns) = nullptr;
+  void (*output)(const T* from, const Frequencies& f, int64_t channels, const T* bias, T* const* y,
+                 int64_t pixel_stride, int64_t rows, int64_t columns) = nullptr;
   /// to = G g G^T for `lanes` filters: tap k of filter j at taps[k][offset + j].
   void (*weight)(const T* const* taps, int64_t offset, T* to, int64_t frequency) = nullptr;
   /// g = G^T from G, r * r contiguous values a filter for `columns` (at most the lanes) filters: the gradient

@@ -16,30 +16,32 @@ inline int64_t round_up(int64_t value, int64_t step) {
   return (value + step - 1) / step * step;
 }
 
-/// The tiles that cover n images of rows x columns outputs, counted through.
+/// The tiles that cover n images of rows x columns outputs, or those of them that exist, counted through.
 struct TileGrid {
-  int64_t outputs, rows, columns, down, across, count;
+  using Tile = ActiveSites::Tile;
+  int64_t outputs, rows, columns, down, across;
+  const ActiveSites* sites;
+  const std::vector<Tile>* tiles;  ///< null for a regular grid
+  int64_t count;
 
-  TileGrid(int64_t outputs_, int64_t n, int64_t rows_, int64_t columns_)
+  TileGrid(int64_t outputs_, int64_t n, int64_t rows_, int64_t columns_, const ActiveSites* sites_)
       : outputs(outputs_),
         rows(rows_),
         columns(columns_),
         down((rows + outputs - 1) / outputs),
         across((columns + outputs - 1) / outputs),
-        count(n * down * across) {}
+        sites(sites_),
+        tiles(sites == nullptr ? nullptr : &sites->tiles(outputs)),
+        count(tiles == nullptr ? n * down * across : static_cast<int64_t>(tiles->size())) {}
 
-  struct Tile {
-    int64_t image, row, column;  ///< of the first output
-  };
   Tile operator[](int64_t i) const {
+    if (tiles != nullptr) return (*tiles)[static_cast<size_t>(i)];
     return {i / (down * across), i / across % down * outputs, i % across * outputs};
   }
-  /// The tile's first output in an image of rows x columns.
-  template <class T>
-  T* pixel(const Part<T>& image, const Tile& tile) const {
-    return image.data + ((tile.image * rows + tile.row) * columns + tile.column) * image.channels;
-  }
 };
+
+/// Pixels a side of the largest tile.
+constexpr int64_t kMaxTile = 8;
 
 /// How a kernel is cut into blocks of as many taps as a tile takes. Each block meets the image, shifted, as
 /// if it were further channels of one image.
@@ -90,7 +92,7 @@ std::vector<Source<T>> sources(const KernelBlocks& blocks, const std::vector<Ima
 }
 
 /// Transforms the tiles [begin, begin + count) of a source into slots 0, 1, .. of `to`, each `slot` from the
-/// next. What lies in the image is read in place.
+/// next. Tiles whose pixels all exist are read in place.
 template <class T, class Transform>
 void transform_tiles(const Source<T>& source, const TileGrid& grid, int64_t begin, int64_t count,
                      int64_t side, T* patch, T* to, int64_t slot, const Transform& transform) {
@@ -99,14 +101,15 @@ void transform_tiles(const Source<T>& source, const TileGrid& grid, int64_t begi
     const TileGrid::Tile tile = grid[begin + i];
     const int64_t top = tile.row + source.row, left = tile.column + source.column;
     T* const out = to + i * slot;
-    if (x.contains(top, left, side, side)) {
-      transform(x.pixel(tile.image, top, left), x.w * x.channels, x.channels, out);
-      continue;
+    const T* lines[kMaxTile];
+    if (!x.lines(tile.image, top, left, side, side, lines)) {
+      for (int64_t row = 0; row < side; ++row) {
+        T* const line = patch + row * side * x.channels;
+        x.copy_row(tile.image, top + row, left, side, line);
+        lines[row] = line;
+      }
     }
-    for (int64_t row = 0; row < side; ++row) {
-      x.copy_row(tile.image, top + row, left, side, patch + row * side * x.channels);
-    }
-    transform(patch, side * x.channels, x.channels, out);
+    transform(lines, x.channels, out);
   }
 }
 
@@ -117,18 +120,18 @@ void transform_inputs(const WinogradKernels<T>& k, const std::vector<Source<T>>&
   for (const Source<T>& source : x) {
     layout.first = source.first;
     transform_tiles(source, grid, begin, count, k.tile, patch, to, slot,
-                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* out) {
-                      k.input(d, row_stride, pixel_stride, source.image.channels, out, layout);
+                    [&](const T* const* d, int64_t pixel_stride, T* out) {
+                      k.input(d, pixel_stride, source.image.channels, out, layout);
                     });
   }
 }
 
 /// The parts of a convolution's input as images; the channels of the widest source.
 template <class T>
-std::vector<Image<T>> images(const ConvShape& s, Parts<const T> parts) {
+std::vector<Image<T>> images(const ConvShape& s, Parts<const T> parts, const ActiveSites* sites) {
   std::vector<Image<T>> result;
   for (const Part<const T>& part : parts) {
-    result.push_back({part.data, s.n, s.h, s.w, part.channels, s.reflect ? s.padding : 0});
+    result.push_back({part.data, s.n, s.h, s.w, part.channels, s.reflect ? s.padding : 0, sites});
   }
   return result;
 }

@@ -15,13 +15,14 @@ namespace {
 template <class T>
 class WeightSums {
  public:
-  WeightSums(const WinogradKernels<T>& k, const ConvShape& s, Parts<const T> x, const T* dy, int64_t block)
+  WeightSums(const WinogradKernels<T>& k, const ConvShape& s, Parts<const T> x, const T* dy,
+             const ConvSites& sites, int64_t block)
       : k_(k),
         s_(s),
         blocks_(k, s.kernel_h, s.in),
-        x_(sources(blocks_, images(s, x), s.padding)),
-        dy_{s.output(dy), 0, 0, 0},
-        grid_(k.outputs, s.n, s.out_h(), s.out_w()),
+        x_(sources(blocks_, images(s, x, sites.x), s.padding)),
+        dy_{s.output(dy, sites.y), 0, 0, 0},
+        grid_(k.outputs, s.n, s.out_h(), s.out_w(), sites.y),
         rows_(std::max(k.lanes, tiles<T>().rows)),
         width_(2 * k.lanes),
         frequencies_(k.tile * k.tile),
@@ -42,8 +43,8 @@ class WeightSums {
     const Scratch<T> patch(k_.tile * k_.tile * std::max(widest(x_), s_.out));
     transform_inputs(k_, x_, grid_, first, count, patch.data(), b + slot * width_, width_, b_);
     transform_tiles(dy_, grid_, first, count, k_.outputs, patch.data(), a + slot * rows_, rows_,
-                    [&](const T* d, int64_t row_stride, int64_t pixel_stride, T* to) {
-                      k_.output_gradient(d, row_stride, pixel_stride, s_.out, to, a_);
+                    [&](const T* const* d, int64_t pixel_stride, T* to) {
+                      k_.output_gradient(d, pixel_stride, s_.out, to, a_);
                     });
   }
 
@@ -108,19 +109,21 @@ class WeightSums {
 }  // namespace
 
 template <class T>
-void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight) {
+void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x, const T* dy, T* dweight,
+                              const ConvSites& sites) {
   const WinogradKernels<T>& k = winograd_kernels<T>(outputs);
-  if (s.n == 0) {
+  const int64_t tile_count = TileGrid(outputs, s.n, s.out_h(), s.out_w(), sites.y).count;
+  if (tile_count == 0) {
     std::fill_n(dweight, s.out * s.in * s.kernel_h * s.kernel_w, T{});
     return;
   }
   // Few channels: a group of tiles has sums of its own, which stay near the core with the block that it works
   // on.
   constexpr int64_t kOwnSumsBytes = 640 << 10, kOwnBlock = 32, kGroups = 16, kLeastBlocks = 32;
-  const int64_t blocks = (TileGrid(outputs, s.n, s.out_h(), s.out_w()).count + kOwnBlock - 1) / kOwnBlock;
+  const int64_t blocks = (tile_count + kOwnBlock - 1) / kOwnBlock;
   if (blocks >= kLeastBlocks &&
       k.tile * k.tile * s.in * s.out * static_cast<int64_t>(sizeof(T)) <= kOwnSumsBytes) {
-    const WeightSums<T> work(k, s, x, dy, kOwnBlock);
+    const WeightSums<T> work(k, s, x, dy, sites, kOwnBlock);
     const int64_t per_group = (blocks + kGroups - 1) / kGroups;
     const int64_t groups = (blocks + per_group - 1) / per_group;
     const Scratch<T> sums(groups * work.sums_size());
@@ -153,7 +156,7 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
   // together.
   constexpr int64_t kSharedBlock = 256, kTilesPerUnit = 16;
   constexpr int64_t kPerFlush = 32;  // blocks summed in T before double takes over
-  const WeightSums<T> work(k, s, x, dy, kSharedBlock);
+  const WeightSums<T> work(k, s, x, dy, sites, kSharedBlock);
   const int64_t count = (work.grid().count + kSharedBlock - 1) / kSharedBlock;
   const Scratch<T> a(work.a_size()), b(work.b_size()), sums(work.sums_size());
   const Scratch<double> total(count > kPerFlush ? work.sums_size() : 0);
@@ -178,7 +181,9 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
   work.finish(sums.data(), dweight);
 }
 
-template void winograd_weight_gradient(int, const ConvShape&, Parts<const float>, const float*, float*);
-template void winograd_weight_gradient(int, const ConvShape&, Parts<const double>, const double*, double*);
+template void winograd_weight_gradient(int, const ConvShape&, Parts<const float>, const float*, float*,
+                                       const ConvSites&);
+template void winograd_weight_gradient(int, const ConvShape&, Parts<const double>, const double*, double*,
+                                       const ConvSites&);
 
 }  // namespace opaline::kernels

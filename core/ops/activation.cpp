@@ -23,6 +23,7 @@ Tensor leaky_relu(const Tensor& x, double slope) {
 
 Tensor gelu(const Tensor& x) {
   Tensor y(x.shape(), x.dtype());
+  y.set_sites(x.sites());
   dispatch_floating("gelu", x.dtype(), [&]<class T>() {
     parallel_blocks(x.numel(), kPointwiseBlock, [&](int64_t begin, int64_t end) {
       kernels::transformer_kernels<T>().gelu(x.data<T>() + begin, end - begin, y.data<T>() + begin);

@@ -6,6 +6,7 @@
 
 #include "core/ops/pointwise.h"
 #include "core/ops/reduce.h"
+#include "core/ops/sites.h"
 
 namespace opaline {
 namespace {
@@ -71,6 +72,12 @@ void broadcast_map(const Tensor& a, const Tensor& b, Tensor& c, const F& f) {
 template <class F>
 Tensor broadcast(std::string_view operation, const Tensor& a, const Tensor& b, const F& f) {
   Tensor c(broadcast_shape(operation, a, b), a.dtype());
+  if (a.sites() && a.shape() == b.shape()) {
+    c.set_sites(common_sites(operation, std::vector{a, b}));
+  } else if (a.sites() || b.sites()) {
+    const Tensor& image = a.sites() ? a : b;
+    if (image.shape() == c.shape()) c.set_sites(image.sites());
+  }
   dispatch_floating(operation, a.dtype(), [&]<class T>() { broadcast_map<T>(a, b, c, f); });
   return c;
 }

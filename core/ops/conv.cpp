@@ -7,6 +7,7 @@
 #include "core/autograd.h"
 #include "core/kernels/conv.h"
 #include "core/kernels/gemm.h"
+#include "core/ops/sites.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -48,9 +49,18 @@ template <class T>
 std::vector<kernels::Part<T>> channel_parts(std::span<const Tensor> parts) {
   std::vector<kernels::Part<T>> result;
   for (const Tensor& part : parts) {
-    result.push_back({part.data<std::remove_const_t<T>>(), part.size(3)});
+    result.push_back({part.data<std::remove_const_t<T>>(), part.size(-1)});
   }
   return result;
+}
+
+/// The sites of the result: the input's, or those of half the size.
+std::shared_ptr<const ActiveSites> result_sites(const kernels::ConvShape& s,
+                                                const std::shared_ptr<const ActiveSites>& sites) {
+  if (!sites || (s.out_h() == s.h && s.out_w() == s.w && s.stride == 1)) return sites;
+  if (s.stride == 2 && s.out_h() * 2 == s.h && s.out_w() * 2 == s.w) return sites->halved();
+  fail("conv2d", "of active sites must keep or halve the image's size; {} gives {} x {}", to_string(s),
+       s.out_h(), s.out_w());
 }
 
 }  // namespace
@@ -63,15 +73,17 @@ Tensor conv2d(std::span<const Tensor> parts, const Tensor& weight, const Tensor&
               const Conv2dOptions& options) {
   if (parts.empty()) fail("conv2d", "no input");
   const Tensor& x = parts.front();
+  const ImageSize size = image_size("conv2d", x);
+  const std::shared_ptr<const ActiveSites> x_sites = common_sites("conv2d", parts);
   int64_t channels = 0;
   for (const Tensor& part : parts) {
-    check_image("conv2d", part);
+    if (!x_sites) check_image("conv2d", part);
     if (part.dtype() != x.dtype() ||
         !std::equal(x.shape().begin(), x.shape().end() - 1, part.shape().begin())) {
       fail("conv2d", "input parts {} {} and {} {} do not fit", to_string(x.dtype()), to_string(x.shape()),
            to_string(part.dtype()), to_string(part.shape()));
     }
-    channels += part.size(3);
+    channels += part.size(-1);
   }
   if (weight.dim() != 4)
     fail("conv2d", "weight has shape {}, expected O x I x KH x KW", to_string(weight.shape()));
@@ -80,13 +92,13 @@ Tensor conv2d(std::span<const Tensor> parts, const Tensor& weight, const Tensor&
     fail("conv2d", "stride {} and padding {}; expected at least 1 and 0", options.stride, options.padding);
   }
   const bool reflect = options.padding_mode == Padding::kReflect && options.padding > 0;
-  if (reflect && (options.padding >= x.size(1) || options.padding >= x.size(2))) {
+  if (reflect && (options.padding >= size.h || options.padding >= size.w)) {
     fail("reflection_pad2d", "padding {} needs 0 <= padding < height and width (input {})", options.padding,
          to_string(x.shape()));
   }
-  const kernels::ConvShape s{.n = x.size(0),
-                             .h = x.size(1),
-                             .w = x.size(2),
+  const kernels::ConvShape s{.n = size.n,
+                             .h = size.h,
+                             .w = size.w,
                              .in = channels,
                              .out = weight.size(0),
                              .kernel_h = weight.size(2),
@@ -99,10 +111,13 @@ Tensor conv2d(std::span<const Tensor> parts, const Tensor& weight, const Tensor&
          s.padding, s.kernel_h, s.kernel_w);
   }
   const std::shared_ptr<kernels::ConvPlan> plan = current_conv_plan();
-  Tensor y({s.n, s.out_h(), s.out_w(), s.out}, x.dtype());
+  const std::shared_ptr<const ActiveSites> y_sites = result_sites(s, x_sites);
+  Tensor y(y_sites ? Shape{y_sites->count(), s.out} : Shape{s.n, s.out_h(), s.out_w(), s.out}, x.dtype());
+  y.set_sites(y_sites);
   dispatch_floating("conv2d", x.dtype(), [&]<class T>() {
     kernels::conv_forward<T>(s, *plan, channel_parts<const T>(parts), weight.data<T>(),
-                             bias.defined() ? bias.data<T>() : nullptr, y.data<T>());
+                             bias.defined() ? bias.data<T>() : nullptr, y.data<T>(),
+                             {partial(x_sites), partial(y_sites)});
   });
   std::vector<Tensor> inputs(parts.begin(), parts.end());
   inputs.insert(inputs.end(), {weight, bias});
@@ -111,25 +126,26 @@ Tensor conv2d(std::span<const Tensor> parts, const Tensor& weight, const Tensor&
   for (const Tensor& part : parts) kept.push_back(part.saved());
   return record(
       "conv2d", y, inputs,
-      [s, plan, kept = std::move(kept), weight = weight.detach()](const Tensor& dy,
-                                                                  std::span<const char> needs) {
+      [s, plan, x_sites, y_sites, kept = std::move(kept), weight = weight.detach()](
+          const Tensor& dy, std::span<const char> needs) {
         const size_t count = kept.size();
+        const kernels::ConvSites sites{partial(x_sites), partial(y_sites)};
         std::vector<Tensor> grads(count + 2);
         dispatch_floating("conv2d", dy.dtype(), [&]<class T>() {
           if (std::any_of(needs.begin(), needs.end() - 2, [](char needed) { return needed != 0; })) {
             std::vector<kernels::Part<T>> dx;
             for (size_t i = 0; i < count; ++i) {
               if (needs[i]) grads[i] = Tensor(kept[i].shape(), dy.dtype());
-              dx.push_back({needs[i] ? grads[i].data<T>() : nullptr, kept[i].size(3)});
+              dx.push_back({needs[i] ? grads[i].data<T>() : nullptr, kept[i].size(-1)});
             }
-            kernels::conv_input_gradient<T>(s, *plan, dy.data<T>(), weight.data<T>(), nullptr, dx);
+            kernels::conv_input_gradient<T>(s, *plan, dy.data<T>(), weight.data<T>(), nullptr, dx, sites);
           }
           if (needs[count]) {
             std::vector<Tensor> values;
             for (const Tensor& part : kept) values.push_back(part.restored());
             grads[count] = Tensor(weight.shape(), weight.dtype());
             kernels::conv_weight_gradient<T>(s, *plan, channel_parts<const T>(values), dy.data<T>(),
-                                             grads[count].data<T>());
+                                             grads[count].data<T>(), sites);
           }
         });
         if (needs[count + 1]) grads[count + 1] = bias_gradient(dy);

@@ -17,7 +17,8 @@ struct Conv2dOptions {
 
 /// y[n,oh,ow,o] = bias[o] + sum_{i,kh,kw} x[n, oh*stride+kh-padding, ow*stride+kw-padding, i] *
 /// weight[o,i,kh,kw]. x: N x H x W x I, weight: O x I x KH x KW, bias: O or undefined. Result: N x OH x OW x
-/// O with OH = (H + 2*padding - KH) / stride + 1 (floor).
+/// O with OH = (H + 2*padding - KH) / stride + 1 (floor). Of active sites (sites x I -> sites x O) the kernel
+/// must keep the image's size, or halve it with stride 2.
 Tensor conv2d(const Tensor& x, const Tensor& weight, const Tensor& bias = {},
               const Conv2dOptions& options = {});
 

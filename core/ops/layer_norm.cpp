@@ -28,6 +28,7 @@ Tensor layer_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, dou
   const auto n = static_cast<double>(columns);
   std::vector<double> mean(static_cast<size_t>(rows)), inverse(mean.size());
   Tensor y(x.shape(), x.dtype());
+  y.set_sites(x.sites());
   dispatch_floating("layer_norm", x.dtype(), [&]<class T>() {
     const kernels::TransformerKernels<T>& k = kernels::transformer_kernels<T>();
     parallel_blocks(rows, kRowsPerUnit, [&](int64_t begin, int64_t end) {

@@ -24,6 +24,7 @@ Tensor linear(const Tensor& x, const Tensor& weight, const Tensor& bias) {
   shape.back() = out;
   const int64_t rows = in == 0 ? 0 : x.numel() / in;
   Tensor y(shape, x.dtype());
+  y.set_sites(x.sites());
   dispatch_floating("linear", x.dtype(), [&]<class T>() {
     kernels::gemm<T>(rows, out, in, {x.data<T>(), in, 1}, {weight.data<T>(), 1, in},
                      bias.defined() ? bias.data<T>() : nullptr, y.data<T>());

@@ -6,6 +6,7 @@
 #include "core/autograd.h"
 #include "core/ops/arithmetic.h"
 #include "core/ops/reduce.h"
+#include "core/ops/sites.h"
 #include "core/ops/unary.h"
 #include "core/parallel.h"
 
@@ -21,10 +22,16 @@ void check_pair(std::string_view operation, const Tensor& x, const Tensor& targe
 
 void check_masked(std::string_view operation, const Tensor& x, const Tensor& target, const Tensor& mask) {
   check_pair(operation, x, target);
-  if (x.dim() != 4 || mask.dtype() != x.dtype() ||
-      mask.shape() != Shape{x.size(0), x.size(1), x.size(2), 1}) {
-    fail(operation, "input {} {} needs a mask N x H x W x 1 of its type, got {} {}", to_string(x.dtype()),
-         to_string(x.shape()), to_string(mask.dtype()), to_string(mask.shape()));
+  common_sites(operation, std::vector{x, target, mask});
+  if (x.dim() != 4 && !x.sites()) {
+    fail(operation, "input has shape {}, expected N x H x W x C and a mask N x H x W x 1",
+         to_string(x.shape()));
+  }
+  Shape expected = x.shape();
+  expected.back() = 1;
+  if (mask.dtype() != x.dtype() || mask.shape() != expected) {
+    fail(operation, "input {} {} needs a mask {} of its type, got {} {}", to_string(x.dtype()),
+         to_string(x.shape()), to_string(expected), to_string(mask.dtype()), to_string(mask.shape()));
   }
 }
 
@@ -35,18 +42,23 @@ template <class Value, class Gradient>
 Tensor masked_mean(std::string_view operation, const Tensor& x, const Tensor& target, const Tensor& mask,
                    const Value& value, const Gradient& gradient) {
   check_masked(operation, x, target, mask);
-  const int64_t n = x.size(0), pixels = x.size(1) * x.size(2), c = x.size(3);
+  const auto [n, h, w, c] = image_size(operation, x);
+  std::vector<int64_t> first;  // pixel of each image, and the number of all
+  for (int64_t image = 0; image <= n; ++image) {
+    first.push_back(x.sites() ? x.sites()->first(image) : image * h * w);
+  }
   std::vector<double> losses(static_cast<size_t>(n), 0.0), counts(losses.size(), 0.0);
-  dispatch_floating(operation, x.dtype(), [&]<class T>() {
+  dispatch_floating(operation, x.dtype(), [&, channels = c]<class T>() {
     parallel_for(n, [&](int64_t image) {
+      const auto k = static_cast<size_t>(image);
       double total = 0.0, count = 0.0;
-      for (int64_t i = image * pixels; i < (image + 1) * pixels; ++i) {
+      for (int64_t i = first[k]; i < first[k + 1]; ++i) {
         if (mask.data<T>()[i] == T{}) continue;
-        total += value(x.data<T>() + i * c, target.data<T>() + i * c, c);
+        total += value(x.data<T>() + i * channels, target.data<T>() + i * channels, channels);
         count += 1.0;
       }
-      losses[static_cast<size_t>(image)] = count > 0.0 ? total / count : 0.0;
-      counts[static_cast<size_t>(image)] = count;
+      losses[k] = count > 0.0 ? total / count : 0.0;
+      counts[k] = count;
     });
   });
   double total = 0.0;
@@ -54,18 +66,18 @@ Tensor masked_mean(std::string_view operation, const Tensor& x, const Tensor& ta
   const Tensor y = Tensor::scalar(n > 0 ? total / static_cast<double>(n) : 0.0, x.dtype());
   if (!should_record({&x})) return y;
   return record(operation, y, {x},
-                [operation, x = x.detach(), target = target.detach(), mask = mask.detach(), counts, n, pixels,
-                 c, gradient](const Tensor& dy, std::span<const char>) {
+                [operation, x = x.detach(), target = target.detach(), mask = mask.detach(), counts, first,
+                 images = n, channels = c, gradient](const Tensor& dy, std::span<const char>) {
                   Tensor dx = Tensor::zeros(x.shape(), x.dtype());
                   dispatch_floating(operation, x.dtype(), [&]<class T>() {
-                    parallel_for(n, [&](int64_t image) {
-                      const double count = counts[static_cast<size_t>(image)];
-                      if (!(count > 0.0)) return;
-                      const double scale = dy.item() / (count * static_cast<double>(n));
-                      for (int64_t i = image * pixels; i < (image + 1) * pixels; ++i) {
+                    parallel_for(images, [&](int64_t image) {
+                      const auto k = static_cast<size_t>(image);
+                      if (!(counts[k] > 0.0)) return;
+                      const double scale = dy.item() / (counts[k] * static_cast<double>(images));
+                      for (int64_t i = first[k]; i < first[k + 1]; ++i) {
                         if (mask.data<T>()[i] == T{}) continue;
-                        gradient(x.data<T>() + i * c, target.data<T>() + i * c, c, scale,
-                                 dx.data<T>() + i * c);
+                        gradient(x.data<T>() + i * channels, target.data<T>() + i * channels, channels, scale,
+                                 dx.data<T>() + i * channels);
                       }
                     });
                   });

@@ -6,7 +6,8 @@
 namespace opaline {
 
 /// For each image sum over mask of |x - target| / (mask pixels * channels), then the mean over the batch.
-/// An image with an empty mask gives 0. x, target: N x H x W x C; mask: N x H x W x 1 of zeros and ones.
+/// An image with an empty mask gives 0. x, target: N x H x W x C; mask: N x H x W x 1 of zeros and ones. Or
+/// the same active sites of all three.
 Tensor masked_l1_loss(const Tensor& x, const Tensor& target, const Tensor& mask);
 
 /// As masked_l1_loss with the squared difference.

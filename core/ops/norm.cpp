@@ -7,6 +7,7 @@
 
 #include "core/autograd.h"
 #include "core/kernels/norm.h"
+#include "core/ops/sites.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -24,13 +25,14 @@ void check_channels(std::string_view operation, std::string_view what, const Ten
 /// image) are normalised together, by statistics that are kept for the backward pass.
 class ChannelNorm {
  public:
-  ChannelNorm(std::string_view operation, int64_t groups, int64_t rows, int64_t columns, bool relu)
+  /// `first`: the first row of each group, and the number of all rows.
+  ChannelNorm(std::string_view operation, std::vector<int64_t> first, int64_t columns, bool relu)
       : operation_(operation),
-        groups_(groups),
-        rows_(rows),
+        first_(std::move(first)),
+        groups_(static_cast<int64_t>(first_.size()) - 1),
         columns_(columns),
         relu_(relu),
-        mean_(static_cast<size_t>(groups * columns)),
+        mean_(static_cast<size_t>(groups_ * columns)),
         inverse_(mean_.size()) {}
 
   double& mean(int64_t i) { return mean_[static_cast<size_t>(i)]; }
@@ -41,11 +43,12 @@ class ChannelNorm {
   /// square of the mean survives a single pass.
   template <class T>
   void measure(const T* x) {
-    const auto n = static_cast<double>(rows_);
     for (int64_t g = 0; g < groups_; ++g) {
-      const T* const group = x + g * rows_ * columns_;
-      const std::vector<double> sums = sum_rows<T>(2, [&](int64_t first, int64_t count, double* to) {
-        kernels::norm_kernels<T>().moments(group + first * columns_, count, columns_, group, to);
+      if (rows(g) == 0) continue;
+      const auto n = static_cast<double>(rows(g));
+      const T* const group = x + first(g) * columns_;
+      const std::vector<double> sums = sum_rows<T>(g, 2, [&](int64_t begin, int64_t count, double* to) {
+        kernels::norm_kernels<T>().moments(group + begin * columns_, count, columns_, group, to);
       });
       for (int64_t j = 0; j < columns_; ++j) {
         const double shifted = sums[static_cast<size_t>(j)] / n;
@@ -81,6 +84,7 @@ class ChannelNorm {
 
   Tensor apply(const Tensor& x) const {
     Tensor y(x.shape(), x.dtype());
+    y.set_sites(x.sites());
     dispatch_floating(operation_, x.dtype(), [&]<class T>() {
       for_blocks<T>([&](int64_t group, int64_t at, int64_t count) {
         kernels::norm_kernels<T>().apply(x.data<T>() + at, count, columns_, map<T>(group), y.data<T>() + at);
@@ -102,12 +106,13 @@ class ChannelNorm {
       std::vector<T> b(mean_.size()),
           c(mean_.size());  // means of g * xhat and of g: of a single value exactly g
       for (int64_t group = 0; group < groups_; ++group) {
-        const int64_t at = group * rows_ * columns_;
-        const std::vector<double> sums = sum_rows<T>(2, [&](int64_t first, int64_t count, double* to) {
-          k.gradient_sums(x.data<T>() + at + first * columns_, dy.data<T>() + at + first * columns_, count,
+        if (rows(group) == 0) continue;
+        const int64_t at = first(group) * columns_;
+        const std::vector<double> sums = sum_rows<T>(group, 2, [&](int64_t begin, int64_t count, double* to) {
+          k.gradient_sums(x.data<T>() + at + begin * columns_, dy.data<T>() + at + begin * columns_, count,
                           columns_, map<T>(group), to);
         });
-        const auto n = static_cast<double>(rows_);
+        const auto n = static_cast<double>(rows(group));
         for (int64_t j = 0; j < columns_; ++j) {
           const auto i = static_cast<size_t>(group * columns_ + j);
           const double sum = sums[static_cast<size_t>(j)];
@@ -135,6 +140,9 @@ class ChannelNorm {
   }
 
  private:
+  int64_t first(int64_t group) const { return first_[static_cast<size_t>(group)]; }
+  int64_t rows(int64_t group) const { return first(group + 1) - first(group); }
+
   template <class T>
   kernels::ChannelMap<T> map(int64_t group) const {
     const int64_t count = groups_ * columns_;
@@ -144,13 +152,13 @@ class ChannelNorm {
 
   /// `terms` padded arrays of sums over the rows of a group: blocks of rows, joined in order.
   template <class T, class F>
-  std::vector<double> sum_rows(int64_t terms, const F& add_rows) const {
+  std::vector<double> sum_rows(int64_t group, int64_t terms, const F& add_rows) const {
     constexpr int64_t kBlock = 512;
     const auto width = static_cast<size_t>(terms * kernels::norm_kernels<T>().padded(columns_));
-    const int64_t blocks = (rows_ + kBlock - 1) / kBlock;
+    const int64_t blocks = (rows(group) + kBlock - 1) / kBlock;
     std::vector<double> partial(static_cast<size_t>(blocks) * width, 0.0);
     parallel_for(blocks, [&](int64_t block) {
-      add_rows(block * kBlock, std::min(kBlock, rows_ - block * kBlock),
+      add_rows(block * kBlock, std::min(kBlock, rows(group) - block * kBlock),
                partial.data() + static_cast<size_t>(block) * width);
     });
     std::vector<double> total(width, 0.0);
@@ -163,11 +171,19 @@ class ChannelNorm {
   /// Calls f(group, first element, rows) for blocks of rows that fit the caches.
   template <class T, class F>
   void for_blocks(const F& f) const {
-    const int64_t block = std::max<int64_t>(1, 32768 / std::max<int64_t>(columns_, 1));
-    const int64_t blocks = (rows_ + block - 1) / block;
-    parallel_for(groups_ * blocks, [&](int64_t i) {
-      const int64_t group = i / blocks, first = i % blocks * block;
-      f(group, (group * rows_ + first) * columns_, std::min(block, rows_ - first));
+    struct Block {
+      int64_t group, row, count;
+    };
+    const int64_t most = std::max<int64_t>(1, 32768 / std::max<int64_t>(columns_, 1));
+    std::vector<Block> blocks;
+    for (int64_t group = 0; group < groups_; ++group) {
+      for (int64_t row = first(group); row < first(group + 1); row += most) {
+        blocks.push_back({group, row, std::min(most, first(group + 1) - row)});
+      }
+    }
+    parallel_for(static_cast<int64_t>(blocks.size()), [&](int64_t i) {
+      const Block& block = blocks[static_cast<size_t>(i)];
+      f(block.group, block.row * columns_, block.count);
     });
   }
 
@@ -180,7 +196,8 @@ class ChannelNorm {
   }
 
   std::string_view operation_;
-  int64_t groups_, rows_, columns_;
+  std::vector<int64_t> first_;
+  int64_t groups_, columns_;
   bool relu_;
   std::vector<double> mean_, inverse_;
   Tensor coefficients_;  // 4 x (groups * columns): center, scale, factor, offset
@@ -220,9 +237,10 @@ Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Ten
     check_channels("batch_norm", "running_var", running_var, x);
   }
   const int64_t columns = x.size(-1), rows = columns == 0 ? 0 : x.numel() / columns;
-  if (options.training && rows < 1)
+  if (options.training && rows < 1 && !x.sites())
     fail("batch_norm", "input {} has no values to normalise", to_string(x.shape()));
-  const auto norm = std::make_shared<ChannelNorm>("batch_norm", 1, rows, columns, options.relu);
+  const auto norm =
+      std::make_shared<ChannelNorm>("batch_norm", std::vector<int64_t>{0, rows}, columns, options.relu);
   dispatch_floating("batch_norm", x.dtype(), [&]<class T>() {
     if (options.training) norm->measure(x.data<T>());
     const auto n = static_cast<double>(rows);
@@ -230,7 +248,7 @@ Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Ten
       if (!options.training) {
         norm->mean(j) = static_cast<double>(running_mean.data<T>()[j]);
         norm->variance(j) = static_cast<double>(running_var.data<T>()[j]);
-      } else if (tracked && !recomputing()) {
+      } else if (tracked && rows > 0 && !recomputing()) {
         T& m = running_mean.data<T>()[j];
         T& v = running_var.data<T>()[j];
         m = static_cast<T>((1.0 - options.momentum) * static_cast<double>(m) +
@@ -248,15 +266,20 @@ Tensor batch_norm(const Tensor& x, const Tensor& weight, const Tensor& bias, Ten
 
 Tensor instance_norm(const Tensor& x, const Tensor& weight, const Tensor& bias,
                      const InstanceNormOptions& options) {
-  if (x.dim() != 4) fail("instance_norm", "input has shape {}, expected N x H x W x C", to_string(x.shape()));
+  const ImageSize size = image_size("instance_norm", x);
   if (weight.defined() != bias.defined()) fail("instance_norm", "needs both weight and bias or none");
   if (weight.defined()) {
     check_channels("instance_norm", "weight", weight, x);
     check_channels("instance_norm", "bias", bias, x);
   }
-  const int64_t images = x.size(0), rows = x.size(1) * x.size(2), columns = x.size(3);
-  if (x.numel() == 0) fail("instance_norm", "input {} has no values to normalise", to_string(x.shape()));
-  const auto norm = std::make_shared<ChannelNorm>("instance_norm", images, rows, columns, options.relu);
+  if (x.numel() == 0 && !x.sites()) {
+    fail("instance_norm", "input {} has no values to normalise", to_string(x.shape()));
+  }
+  std::vector<int64_t> first;
+  for (int64_t image = 0; image <= size.n; ++image) {
+    first.push_back(x.sites() ? x.sites()->first(image) : image * size.h * size.w);
+  }
+  const auto norm = std::make_shared<ChannelNorm>("instance_norm", first, size.channels, options.relu);
   dispatch_floating("instance_norm", x.dtype(), [&]<class T>() {
     norm->measure(x.data<T>());
     norm->prepare(options.eps, data_or_null<T>(weight), data_or_null<T>(bias));

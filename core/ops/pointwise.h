@@ -43,7 +43,7 @@ Tensor pointwise(std::string_view operation, const Tensor& x, Saved saved, Forwa
   const auto compute = [operation, forward](const Tensor& from) {
     Tensor to(from.shape(), from.dtype());
     dispatch_floating(operation, from.dtype(), [&]<class T>() { map<T>(from, to, forward); });
-    return to;
+    return to.set_sites(from.sites());
   };
   const Tensor y = compute(x);
   if (!should_record({&x})) return y;

@@ -5,6 +5,7 @@
 
 #include "core/autograd.h"
 #include "core/kernels/pixel.h"
+#include "core/ops/sites.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -13,52 +14,93 @@ namespace {
 constexpr int64_t kMaxKernel = 15;
 constexpr int64_t kMaxWindow = kMaxKernel * kMaxKernel;
 
-}  // namespace
-
-Tensor max_pool2d(const Tensor& x, int64_t kernel) {
-  if (x.dim() != 4) fail("max_pool2d", "input has shape {}, expected N x H x W x C", to_string(x.shape()));
-  const int64_t n = x.size(0), h = x.size(1), w = x.size(2), c = x.size(3);
-  if (kernel < 1 || kernel > h || kernel > w || kernel > kMaxKernel) {
-    fail("max_pool2d", "kernel {} does not fit input {} (and at most 15)", kernel, to_string(x.shape()));
+/// The windows of a pooling, whole images or sites: for each output the first pixel of its windows' rows.
+class Windows {
+ public:
+  Windows(const ImageSize& size, int64_t kernel, std::shared_ptr<const ActiveSites> sites)
+      : size_(size),
+        kernel_(kernel),
+        out_h_(size.h / kernel),
+        out_w_(size.w / kernel),
+        sites_(std::move(sites)) {
+    if (!sites_) return;
+    if (kernel != 2 || out_h_ * 2 != size.h || out_w_ * 2 != size.w) {
+      fail("max_pool2d", "of active sites halves images of even sides; kernel {} of {} x {}", kernel, size.h,
+           size.w);
+    }
+    out_sites_ = sites_->halved();
   }
-  const int64_t out_h = h / kernel, out_w = w / kernel, window = kernel * kernel;
-  Tensor y({n, out_h, out_w, c}, x.dtype());
-  // Calls f(first element of an output, first element of its window).
-  const auto for_windows = [n, h, w, c, kernel, out_h, out_w](const auto& f) {
-    parallel_blocks(n * out_h, 4, [&](int64_t begin, int64_t end) {
-      for (int64_t row = begin; row < end; ++row) {
-        for (int64_t column = 0; column < out_w; ++column) {
-          f((row * out_w + column) * c, ((row / out_h * h + row % out_h * kernel) * w + column * kernel) * c);
+
+  const std::shared_ptr<const ActiveSites>& out_sites() const { return out_sites_; }
+  Shape out_shape() const {
+    return sites_ ? Shape{out_sites_->count(), size_.channels}
+                  : Shape{size_.n, out_h_, out_w_, size_.channels};
+  }
+  /// Whether every pixel of the input is in a window.
+  bool cover() const { return out_h_ * kernel_ == size_.h && out_w_ * kernel_ == size_.w; }
+
+  /// Calls f(first element of an output, the first elements of its window's pixels that exist, their number).
+  template <class F>
+  void for_each(const F& f) const {
+    parallel_blocks(size_.n * out_h_, 4, [&](int64_t begin, int64_t end) {
+      int64_t pixels[kMaxWindow];
+      for (int64_t i = begin; i < end; ++i) {
+        for (int64_t column = 0; column < out_w_; ++column) {
+          const int64_t image = i / out_h_, row = i % out_h_;
+          const int64_t out = sites_ ? out_sites_->site(image, row, column) : i * out_w_ + column;
+          if (out < 0) continue;
+          int64_t count = 0;
+          for (int64_t k = 0; k < kernel_ * kernel_; ++k) {
+            const int64_t y = row * kernel_ + k / kernel_, x = column * kernel_ + k % kernel_;
+            const int64_t pixel = sites_ ? sites_->site(image, y, x) : (image * size_.h + y) * size_.w + x;
+            if (pixel >= 0) pixels[count++] = pixel * size_.channels;
+          }
+          f(out * size_.channels, pixels, count);
         }
       }
     });
-  };
-  const auto offset = [w, c, kernel](int64_t k) { return (k / kernel * w + k % kernel) * c; };
+  }
+
+ private:
+  ImageSize size_;
+  int64_t kernel_, out_h_, out_w_;
+  std::shared_ptr<const ActiveSites> sites_, out_sites_;
+};
+
+}  // namespace
+
+Tensor max_pool2d(const Tensor& x, int64_t kernel) {
+  const ImageSize size = image_size("max_pool2d", x);
+  if (kernel < 1 || kernel > size.h || kernel > size.w || kernel > kMaxKernel) {
+    fail("max_pool2d", "kernel {} does not fit input {} (and at most 15)", kernel, to_string(x.shape()));
+  }
+  const Windows windows(size, kernel, x.sites());
+  const int64_t c = size.channels;
+  Tensor y(windows.out_shape(), x.dtype());
+  y.set_sites(windows.out_sites());
   dispatch_floating("max_pool2d", x.dtype(), [&]<class T>() {
-    for_windows([&](int64_t to, int64_t from) {
+    windows.for_each([&](int64_t to, const int64_t* from, int64_t count) {
       const T* pixels[kMaxWindow];
-      for (int64_t k = 0; k < window; ++k) pixels[k] = x.data<T>() + from + offset(k);
-      kernels::pixel_kernels<T>().largest(pixels, window, c, y.data<T>() + to);
+      for (int64_t k = 0; k < count; ++k) pixels[k] = x.data<T>() + from[k];
+      kernels::pixel_kernels<T>().largest(pixels, count, c, y.data<T>() + to);
     });
   });
   if (!should_record({&x})) return y;
   return record(
       "max_pool2d", y, {x},
-      [kept = x.saved(), for_windows, offset, window, whole = out_h * kernel == h && out_w * kernel == w](
-          const Tensor& dy, std::span<const char>) {
+      [kept = x.saved(), windows, c](const Tensor& dy, std::span<const char>) {
         const Tensor values = kept.restored();
-        // Windows cover everything but what no multiple of the kernel reaches.
-        Tensor dx = whole ? Tensor(values.shape(), dy.dtype()) : Tensor::zeros(values.shape(), dy.dtype());
+        Tensor dx =
+            windows.cover() ? Tensor(values.shape(), dy.dtype()) : Tensor::zeros(values.shape(), dy.dtype());
         dispatch_floating("max_pool2d", dy.dtype(), [&]<class T>() {
-          for_windows([&](int64_t at, int64_t from) {
+          windows.for_each([&](int64_t at, const int64_t* from, int64_t count) {
             const T* pixels[kMaxWindow];
             T* targets[kMaxWindow];
-            for (int64_t k = 0; k < window; ++k) {
-              pixels[k] = values.data<T>() + from + offset(k);
-              targets[k] = dx.data<T>() + from + offset(k);
+            for (int64_t k = 0; k < count; ++k) {
+              pixels[k] = values.data<T>() + from[k];
+              targets[k] = dx.data<T>() + from[k];
             }
-            kernels::pixel_kernels<T>().largest_gradient(pixels, dy.data<T>() + at, window, values.size(3),
-                                                         targets);
+            kernels::pixel_kernels<T>().largest_gradient(pixels, dy.data<T>() + at, count, c, targets);
           });
         });
         return std::vector<Tensor>{dx};

@@ -9,6 +9,9 @@ struct UpsampleOptions {
   int64_t height = 0;
   int64_t width = 0;
   bool align_corners = false;  ///< true: source = i (in-1)/(out-1); false: (i+0.5) in/out - 0.5, clamped at 0
+  /// Of the result, where the input has active sites: its absent pixels are zeros, and the weights of the
+  /// others stay as they are.
+  std::shared_ptr<const ActiveSites> sites = nullptr;
 };
 
 /// Bilinear interpolation.

@@ -8,6 +8,7 @@
 #include "core/autograd.h"
 #include "core/ops/arithmetic.h"
 #include "core/ops/reduce.h"
+#include "core/ops/sites.h"
 #include "core/parallel.h"
 
 namespace opaline {
@@ -59,6 +60,7 @@ Tensor concat(std::span<const Tensor> parts, int64_t axis) {
     shape[static_cast<size_t>(d)] += part.size(d);
   }
   Tensor y(shape, parts[0].dtype());
+  if (d > 0) y.set_sites(common_sites("concat", parts));
   const Split s = split_at(shape, d);
   const int64_t row = s.size * s.inner * size_of(y.dtype());
   int64_t offset = 0;
