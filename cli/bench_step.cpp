@@ -106,8 +106,9 @@ void add_bench_step(CLI::App& bench) {
       ->capture_default_str();
   command->add_option(
       "--mask", arguments->workload.mask,
-      "The object's pixels: a PNG, or a coverage such as 0.3 (a disc). The networks compute all pixels "
-      "whatever it is; of a stage, the losses are over it");
+      "The object's pixels: a PNG, or a coverage such as 0.3 (a disc). Of a stage, the losses are over it");
+  command->add_flag("--skip", arguments->workload.skip,
+                    "Compute on the 16 x 16 tiles that touch the mask alone");
   command->add_option("--repeats", arguments->repeats, "Timed repetitions after one warm-up")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();

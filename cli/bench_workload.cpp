@@ -9,6 +9,7 @@
 
 #include "core/autograd.h"
 #include "core/error.h"
+#include "core/ops/sites.h"
 #include "core/random.h"
 #include "data/png.h"
 #include "models/cascade.h"
@@ -66,12 +67,20 @@ Tensor make_mask(const Workload& workload) {
   return mask;
 }
 
+std::shared_ptr<const ActiveSites> sites_of(const Tensor& mask) {
+  return support_of(mask.size(0), mask.size(1), mask.size(2), mask.values<float>());
+}
+
 class NetworkStep : public Step {
  public:
   explicit NetworkStep(const Workload& workload)
       : network_(make_network(workload.net, {.image_size = workload.size, .width = workload.width})),
         input_(random_uniform(input_shape(workload.net, workload.batch, workload.size), 0)) {
     initialize_network(*network_, workload.net, 1);
+    const Tensor mask = make_mask(workload);
+    if (workload.skip && input_.dim() == 4 && workload.net != "illumination") {
+      input_ = select_sites(input_, sites_of(mask));
+    }
   }
   Tensor forward() override { return network_->forward(input_); }
   void go_backward(const Tensor& result) override {
@@ -102,6 +111,7 @@ class StageStep : public Step {
     input_.image = random_uniform({b, s, s, cascade_.options().network.input_channels}, 0);
     input_.bsdf = random_uniform({b, s, s, kBsdfChannels}, 1);
     targets_.mask = make_mask(workload);
+    if (workload.skip) input_.sites = sites_of(targets_.mask);
     targets_.normal = random_uniform({b, s, s, 3}, 2);
     targets_.depth = random_uniform({b, s, s, 1}, 3);
     targets_.illumination = random_uniform({b, illumination_values(variant)}, 4);
@@ -173,7 +183,6 @@ std::vector<std::string> workload_names() {
 
 std::unique_ptr<Step> make_step(const Workload& workload) {
   if (!is_network(workload.net)) return std::make_unique<StageStep>(workload);
-  make_mask(workload);  // a bad one is told here too
   return std::make_unique<NetworkStep>(workload);
 }
 

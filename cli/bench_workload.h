@@ -37,7 +37,8 @@ struct Workload {
   int64_t size = 256;       ///< of the images, and the build size
   int64_t batch = 1;        ///< images
   int64_t width = 64;       ///< channels of the first layer
-  std::string mask = {};    ///< of a stage's losses: a PNG file or a share of the pixels; empty: all of them
+  std::string mask = {};    ///< the object: a PNG file or a share of the pixels; empty: all of them
+  bool skip = false;        ///< compute on the tiles that touch the mask alone
   bool checkpoint = false;  ///< of a stage: activation checkpointing
 };
 

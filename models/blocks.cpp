@@ -2,6 +2,7 @@
 
 #include "core/ops/pool.h"
 #include "core/ops/shape.h"
+#include "core/ops/sites.h"
 #include "nn/linear.h"
 #include "nn/norm.h"
 
@@ -36,7 +37,8 @@ void add_halving_conv(Sequential& sequence, int64_t in, int64_t out, DType dtype
 
 void add_vector_head(Sequential& sequence, const VectorHeadConfig& config) {
   const int64_t features = config.in * config.grid * config.grid;
-  sequence.add_function([grid = config.grid, features](const Tensor& x) {
+  sequence.add_function([grid = config.grid, features](const Tensor& sites) {
+    const Tensor x = to_dense(sites);
     const bool fits = x.size(1) == grid && x.size(2) == grid;
     return reshape(to_nchw(fits ? x : adaptive_avg_pool2d(x, grid, grid)), {x.size(0), features});
   });

@@ -3,6 +3,7 @@
 #include "core/autograd.h"
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
+#include "core/ops/sites.h"
 
 namespace opaline {
 namespace {
@@ -13,8 +14,10 @@ bool belongs(std::string_view name, const CascadeOptions& options) {
   return options.stage == 2;
 }
 
-// N x K values over all pixels: N x height x width x K.
-Tensor broadcast_over_image(const Tensor& values, int64_t height, int64_t width) {
+// N x K values over all pixels, N x height x width x K, or over those of the sites.
+Tensor broadcast_over_image(const Tensor& values, int64_t height, int64_t width,
+                            const std::shared_ptr<const ActiveSites>& sites) {
+  if (sites) return expand_to_sites(values, sites);
   const int64_t batch = values.size(0);
   const int64_t count = values.size(1);
   return expand(reshape(values, {batch, 1, 1, count}), {batch, height, width, count});
@@ -40,6 +43,10 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
   const bool sss = wanted.sss || wanted.reconstruction;
   const int64_t height = input.image.size(1);
   const int64_t width = input.image.size(2);
+  const auto selected = [&sites = input.sites](const Tensor& x) {
+    return sites ? select_sites(x, sites) : x;
+  };
+  const Tensor image = wanted.normal || wanted.depth || sss ? selected(input.image) : Tensor();
   const auto run = [&](std::string_view name, std::vector<Tensor> inputs) {
     const auto forward = [&net = network(name)](std::span<const Tensor> parts) {
       return net.forward(parts.size() == 1 ? parts.front() : concat({parts.begin(), parts.end()}));
@@ -47,19 +54,20 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
     return options_.checkpoint ? checkpoint(name, forward, inputs) : forward(inputs);
   };
   CascadeOutput out;
-  if (wanted.normal || sss) out.normal = run("normal", {input.image});
-  if (wanted.depth || sss) out.depth = run("depth", {input.image});
+  if (wanted.normal || sss) out.normal = run("normal", {image});
+  if (wanted.depth || sss) out.depth = run("depth", {image});
   if (wanted.illumination || sss) out.illumination = run("illumination", {input.image});
   if (!sss) return out;
 
   const Tensor map = run("illumination_decoder", {out.illumination});
   const bool fits = map.size(1) == height && map.size(2) == width;
-  out.illumination_map = fits ? map : upsample_bilinear(map, {.height = height, .width = width});
-  out.sss = run("sss", {out.illumination_map, out.normal, out.depth, input.image});
+  out.illumination_map = selected(fits ? map : upsample_bilinear(map, {.height = height, .width = width}));
+  out.sss = run("sss", {out.illumination_map, out.normal, out.depth, image});
   if (!wanted.reconstruction) return out;
 
   if (!input.bsdf.defined()) fail("cascade", "the reconstruction needs the pure-BSDF images");
-  out.reconstruction = run("reconstruction", {input.bsdf, broadcast_over_image(out.sss, height, width)});
+  out.reconstruction = run("reconstruction",
+                           {selected(input.bsdf), broadcast_over_image(out.sss, height, width, input.sites)});
   return out;
 }
 

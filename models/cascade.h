@@ -34,9 +34,12 @@ struct CascadeWanted {
 struct CascadeInput {
   Tensor image;  ///< N x H x W x input channels
   Tensor bsdf;   ///< N x H x W x 12, the four pure-BSDF images; may be undefined without reconstruction
+  /// Where the image networks compute, all but the illumination's (core/active_sites.h, support_of()); null
+  /// for everywhere. `bsdf` may be of these sites already.
+  std::shared_ptr<const ActiveSites> sites = nullptr;
 };
 
-/// What was not computed is undefined.
+/// What was not computed is undefined. Images are of the input's sites, where it has any.
 struct CascadeOutput {
   Tensor normal;            ///< N x H x W x 3, not of unit length
   Tensor depth;             ///< N x H x W x 1

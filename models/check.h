@@ -17,8 +17,10 @@ NetworkOptions small_network_options(std::string_view name);
 Shape network_input_shape(std::string_view name, int64_t batch, const NetworkOptions& options);
 
 /// Gradients of sum(y * cotangent) by every parameter and the input "x", for weights, statistics, input and
-/// cotangent that are nowhere trivial. Throws UsageError on an unknown name.
-std::vector<check::GradientError> network_gradient_errors(std::string_view name, bool training,
-                                                          const check::GradientOptions& options = {});
+/// cotangent that are nowhere trivial; with `sites`, of a batch of the build size, on these alone. Throws
+/// UsageError on an unknown name.
+std::vector<check::GradientError> network_gradient_errors(
+    std::string_view name, bool training, const check::GradientOptions& options = {},
+    const std::shared_ptr<const ActiveSites>& sites = nullptr);
 
 }  // namespace opaline

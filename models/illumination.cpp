@@ -31,6 +31,7 @@ IlluminationEncoder::IlluminationEncoder(const IlluminationEncoderConfig& config
 }
 
 Tensor IlluminationEncoder::forward(const Tensor& x) {
+  if (x.sites()) fail("illumination", "needs whole images: its cue lies around the object");
   check_image_input("illumination", x, config_.in);
   return model_.forward(x);
 }

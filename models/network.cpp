@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <string>
 
+#include "core/ops/sites.h"
 #include "models/illumination.h"
 #include "models/sss.h"
 #include "models/unet.h"
@@ -45,13 +46,13 @@ int64_t sss_values(Variant variant) {
 }
 
 void check_image_input(std::string_view network, const Tensor& x, int64_t channels) {
-  if (x.dim() != 4 || x.size(3) != channels) {
+  if ((x.dim() != 4 && !x.sites()) || x.size(-1) != channels) {
     fail(network, "input is {}, expected N x H x W x {}", to_string(x.shape()), channels);
   }
-  for (const int64_t size : {x.size(1), x.size(2)}) {
-    if (size < 32 || size % 16 != 0) {
-      fail(network, "images are {} x {}: both sides must be at least 32 and divisible by 16", x.size(1),
-           x.size(2));
+  const ImageSize size = image_size(network, x);
+  for (const int64_t side : {size.h, size.w}) {
+    if (side < 32 || side % 16 != 0) {
+      fail(network, "images are {} x {}: both sides must be at least 32 and divisible by 16", size.h, size.w);
     }
   }
 }

@@ -34,11 +34,12 @@ inline constexpr int64_t kBsdfChannels = 12;   ///< four polariser images of thr
 /// A network from one tensor to one tensor.
 class Network : public Module {
  public:
-  /// Images are N x H x W x C, H and W divisible by 16 and at least 32; vectors are N x K.
+  /// Images are N x H x W x C, H and W divisible by 16 and at least 32; vectors are N x K. All but the
+  /// illumination networks take the active sites of images too (core/active_sites.h) and give theirs.
   virtual Tensor forward(const Tensor& x) = 0;
 };
 
-/// Throws Error, naming the network, unless x is such an image of `channels` channels.
+/// Throws Error, naming the network, unless x is such an image, or sites of one, of `channels` channels.
 void check_image_input(std::string_view network, const Tensor& x, int64_t channels);
 
 /// Makes a network with zero or constant weights; initialize_network() draws them. Throws UsageError on an

@@ -3,6 +3,7 @@
 #include "core/ops/pool.h"
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
+#include "core/ops/sites.h"
 #include "nn/norm.h"
 
 namespace opaline {
@@ -40,8 +41,9 @@ Down::Down(const DoubleConvConfig& config) {
 }
 
 Tensor Up::forward(const Tensor& x, const Tensor& skip) const {
+  const ImageSize size = image_size("Up", skip);
   const Tensor upsampled =
-      upsample_bilinear(x, {.height = skip.size(1), .width = skip.size(2), .align_corners = true});
+      upsample_bilinear(x, {.height = size.h, .width = size.w, .align_corners = true, .sites = skip.sites()});
   const Tensor parts[] = {skip, upsampled};
   return conv_.forward(parts);
 }
@@ -88,8 +90,11 @@ Tensor TransUnet::forward(const Tensor& x) {
   const Tensor x4 = down3_.forward(x3);
   const Tensor x5 = down4_.forward(x4);
 
-  const Tensor tokens = reshape(x5, {x5.size(0), x5.size(1) * x5.size(2), x5.size(3)});
-  const Tensor bottom = reshape(resblock_layers_.forward(tokens), x5.shape());
+  // Active sites are tokens as they are.
+  const ImageSize size = image_size(config_.name, x5);
+  const Tensor tokens = x5.sites() ? x5 : reshape(x5, {size.n, size.h * size.w, size.channels});
+  const Tensor mixed = resblock_layers_.forward(tokens);
+  const Tensor bottom = x5.sites() ? mixed : reshape(mixed, x5.shape());
 
   Tensor y = up1_.forward(bottom, x4);
   y = up2_.forward(y, x3);

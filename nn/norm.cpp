@@ -5,7 +5,7 @@
 namespace opaline {
 
 Tensor BatchNorm::forward(const Tensor& x) {
-  if (training() && x.dim() == 2 && x.size(0) < 2) {
+  if (training() && x.dim() == 2 && !x.sites() && x.size(0) < 2) {
     fail("BatchNorm", "cannot train on a single sample ({}): use a micro-batch of at least 2, better 8",
          to_string(x.shape()));
   }

@@ -26,7 +26,15 @@ int64_t operation_work(const Node& node, const Tensor& result) {
     return result.numel() * (inputs[0].numel() / rows);
   }
   if (node.operation == "scaled_dot_product_attention") {
-    // Two products of all queries with all keys.
+    // Two products of all queries with all keys of their image.
+    if (const auto& sites = result.sites()) {
+      int64_t pairs = 0;
+      for (int64_t image = 0; image < sites->n(); ++image) {
+        const int64_t count = sites->first(image + 1) - sites->first(image);
+        pairs += count * count;
+      }
+      return 2 * pairs * result.size(1);
+    }
     return 2 * result.numel() * inputs[1].size(1);
   }
   return 0;
@@ -55,12 +63,15 @@ bool backward_reads(const Node& node, size_t i) {
                                                                  "affine",
                                                                  "concat",
                                                                  "expand",
+                                                                 "expand_to_sites",
                                                                  "mean",
                                                                  "permute",
                                                                  "reflection_pad2d",
+                                                                 "select_sites",
                                                                  "slice",
                                                                  "sub",
                                                                  "sum",
+                                                                 "to_dense",
                                                                  "upsample_bilinear",
                                                                  "upsample_nearest"};
   if (kConstantDerivative.contains(node.operation)) return false;

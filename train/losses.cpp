@@ -3,6 +3,7 @@
 #include "core/error.h"
 #include "core/ops/arithmetic.h"
 #include "core/ops/loss.h"
+#include "core/ops/sites.h"
 
 namespace opaline {
 namespace {
@@ -71,7 +72,9 @@ Losses compute_losses(const LossOptions& options, const CascadeOutput& output, c
   };
   const auto image = [&](std::string_view name, const Tensor& x, const Tensor& target) {
     const LossTerm& term = loss_term(options, name);
-    if (term.weight > 0.0 && x.defined()) add_term(name, image_loss(term.kind, x, target, targets.mask));
+    if (!(term.weight > 0.0) || !x.defined()) return;
+    const auto selected = [&x](const Tensor& t) { return x.sites() ? select_sites(t, x.sites()) : t; };
+    add_term(name, image_loss(term.kind, x, selected(target), selected(targets.mask)));
   };
   const auto vector = [&](std::string_view name, const Tensor& x, const Tensor& target) {
     const LossTerm& term = loss_term(options, name);
