@@ -196,7 +196,8 @@ std::vector<Layer> layers_of_run(const LayersArguments& arguments) {
   const std::optional<Batch> batch = loader.next();
   return capture(cascade.named_parameters(), [&] {
     const CascadeWanted wanted = wanted_outputs(model.config.loss, cascade.options());
-    const CascadeOutput out = cascade.forward({.image = batch->input, .bsdf = batch->bsdf}, wanted);
+    const CascadeOutput out =
+        cascade.forward({.image = batch->input, .bsdf = batch->bsdf, .mask = batch->mask}, wanted);
     return compute_losses(model.config.loss, out, loss_targets(*batch)).total;
   });
 }

@@ -67,10 +67,6 @@ Tensor make_mask(const Workload& workload) {
   return mask;
 }
 
-std::shared_ptr<const ActiveSites> sites_of(const Tensor& mask) {
-  return support_of(mask.size(0), mask.size(1), mask.size(2), mask.values<float>());
-}
-
 class NetworkStep : public Step {
  public:
   explicit NetworkStep(const Workload& workload)
@@ -79,7 +75,7 @@ class NetworkStep : public Step {
     initialize_network(*network_, workload.net, 1);
     const Tensor mask = make_mask(workload);
     if (workload.skip && input_.dim() == 4 && workload.net != "illumination") {
-      input_ = select_sites(input_, sites_of(mask));
+      input_ = select_sites(input_, support_of(mask));
     }
   }
   Tensor forward() override { return network_->forward(input_); }
@@ -103,7 +99,8 @@ class StageStep : public Step {
         cascade_({.network = {.image_size = workload.size, .width = workload.width},
                   .stage = workload.net == "stage1" ? 1 : 2,
                   .reconstruction = workload.net == "stage2",
-                  .checkpoint = workload.checkpoint}) {
+                  .checkpoint = workload.checkpoint,
+                  .skip = workload.skip ? Skip::kSupport : Skip::kNone}) {
     cascade_.initialize(1);
     const Variant variant = cascade_.options().network.variant;
     const int64_t b = workload.batch;
@@ -111,7 +108,7 @@ class StageStep : public Step {
     input_.image = random_uniform({b, s, s, cascade_.options().network.input_channels}, 0);
     input_.bsdf = random_uniform({b, s, s, kBsdfChannels}, 1);
     targets_.mask = make_mask(workload);
-    if (workload.skip) input_.sites = sites_of(targets_.mask);
+    input_.mask = targets_.mask;
     targets_.normal = random_uniform({b, s, s, 3}, 2);
     targets_.depth = random_uniform({b, s, s, 1}, 3);
     targets_.illumination = random_uniform({b, illumination_values(variant)}, 4);

@@ -135,7 +135,7 @@ ActiveSites ActiveSites::mirrored(int64_t padding) const {
   return {n_, h, w, active};
 }
 
-std::shared_ptr<const ActiveSites> support_of(int64_t n, int64_t h, int64_t w, std::span<const float> mask,
+std::shared_ptr<const ActiveSites> support_of(int64_t n, int64_t h, int64_t w, std::span<const uint8_t> mask,
                                               int64_t dilation, int64_t tile) {
   if (tile < 1 || h % tile != 0 || w % tile != 0 || dilation < 0 ||
       static_cast<int64_t>(mask.size()) != n * h * w) {
@@ -146,7 +146,7 @@ std::shared_ptr<const ActiveSites> support_of(int64_t n, int64_t h, int64_t w, s
   std::vector<uint8_t> touched(static_cast<size_t>(n * down * across), 0);
   for (int64_t i = 0; i < n * h; ++i) {
     for (int64_t column = 0; column < w; ++column) {
-      if (mask[static_cast<size_t>(i * w + column)] == 0.0F) continue;
+      if (mask[static_cast<size_t>(i * w + column)] == 0) continue;
       touched[static_cast<size_t>((i / h * down + i % h / tile) * across + column / tile)] = 1;
     }
   }

@@ -79,7 +79,7 @@ class ActiveSites {
 /// The sites for a network that halves its images up to four times: the tiles of `tile` x `tile` pixels that
 /// touch the mask or lie at most `dilation` tiles from one that does. mask: n x h x w, nonzero where the
 /// object is; h and w must be multiples of `tile`.
-std::shared_ptr<const ActiveSites> support_of(int64_t n, int64_t h, int64_t w, std::span<const float> mask,
+std::shared_ptr<const ActiveSites> support_of(int64_t n, int64_t h, int64_t w, std::span<const uint8_t> mask,
                                               int64_t dilation = 0, int64_t tile = 16);
 
 }  // namespace opaline

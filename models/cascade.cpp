@@ -25,6 +25,25 @@ Tensor broadcast_over_image(const Tensor& values, int64_t height, int64_t width,
 
 }  // namespace
 
+std::string_view to_string(Skip skip) {
+  return skip == Skip::kNone ? "none" : "support";
+}
+
+std::optional<Skip> parse_skip(std::string_view text) {
+  for (const Skip skip : {Skip::kNone, Skip::kSupport}) {
+    if (text == to_string(skip)) return skip;
+  }
+  return std::nullopt;
+}
+
+CascadeOutput whole(const CascadeOutput& output) {
+  CascadeOutput result = output;
+  for (Tensor* image : {&result.normal, &result.depth, &result.illumination_map, &result.reconstruction}) {
+    if (image->defined()) *image = to_dense(*image);
+  }
+  return result;
+}
+
 Cascade::Cascade(const CascadeOptions& options) : options_(options) {
   if (options_.stage != 1 && options_.stage != 2) {
     fail_usage("cascade", "stage {} is neither 1 nor 2", options_.stage);
@@ -43,9 +62,12 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
   const bool sss = wanted.sss || wanted.reconstruction;
   const int64_t height = input.image.size(1);
   const int64_t width = input.image.size(2);
-  const auto selected = [&sites = input.sites](const Tensor& x) {
-    return sites ? select_sites(x, sites) : x;
-  };
+  std::shared_ptr<const ActiveSites> sites;
+  if (options_.skip == Skip::kSupport) {
+    if (!input.mask.defined()) fail("cascade", "skipping what lies outside the mask needs a mask");
+    sites = support_of(input.mask, options_.dilation);
+  }
+  const auto selected = [&sites](const Tensor& x) { return sites ? select_sites(x, sites) : x; };
   const Tensor image = wanted.normal || wanted.depth || sss ? selected(input.image) : Tensor();
   const auto run = [&](std::string_view name, std::vector<Tensor> inputs) {
     const auto forward = [&net = network(name)](std::span<const Tensor> parts) {
@@ -66,8 +88,8 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
   if (!wanted.reconstruction) return out;
 
   if (!input.bsdf.defined()) fail("cascade", "the reconstruction needs the pure-BSDF images");
-  out.reconstruction = run("reconstruction",
-                           {selected(input.bsdf), broadcast_over_image(out.sss, height, width, input.sites)});
+  out.reconstruction =
+      run("reconstruction", {selected(input.bsdf), broadcast_over_image(out.sss, height, width, sites)});
   return out;
 }
 

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -15,11 +16,20 @@
 
 namespace opaline {
 
+/// Where the image networks compute, all but the illumination's, whose cue lies around the object:
+/// everywhere, or on the tiles of 16 x 16 pixels that touch the object's mask alone (core/active_sites.h).
+enum class Skip { kNone, kSupport };
+/// "none", "support".
+std::string_view to_string(Skip skip);
+std::optional<Skip> parse_skip(std::string_view text);
+
 struct CascadeOptions {
   NetworkOptions network = {};
   int stage = 2;               ///< 1: normal, depth, illumination only
   bool reconstruction = true;  ///< have the reconstruction network too (stage 2)
   bool checkpoint = false;  ///< in the backward pass, compute each network once more instead of keeping all
+  Skip skip = Skip::kNone;
+  int64_t dilation = 0;  ///< tiles around the mask's that are computed too
 };
 
 /// Which results to compute; those that they need are computed (and given) too.
@@ -34,12 +44,10 @@ struct CascadeWanted {
 struct CascadeInput {
   Tensor image;  ///< N x H x W x input channels
   Tensor bsdf;   ///< N x H x W x 12, the four pure-BSDF images; may be undefined without reconstruction
-  /// Where the image networks compute, all but the illumination's (core/active_sites.h, support_of()); null
-  /// for everywhere. `bsdf` may be of these sites already.
-  std::shared_ptr<const ActiveSites> sites = nullptr;
+  Tensor mask;   ///< N x H x W x 1, nonzero on the object; may be undefined where nothing is skipped
 };
 
-/// What was not computed is undefined. Images are of the input's sites, where it has any.
+/// What was not computed is undefined. Where something is skipped images are of the sites that were computed.
 struct CascadeOutput {
   Tensor normal;            ///< N x H x W x 3, not of unit length
   Tensor depth;             ///< N x H x W x 1
@@ -48,6 +56,9 @@ struct CascadeOutput {
   Tensor sss;               ///< N x 7: g, sigma_t (3), albedo (3), each in [-1, 1]; release: 8, flash last
   Tensor reconstruction;    ///< N x H x W x 12
 };
+
+/// The same with whole images, zeros where nothing was computed.
+CascadeOutput whole(const CascadeOutput& output);
 
 class Cascade {
  public:

@@ -51,10 +51,11 @@ std::vector<check::GradientError> config_gradient_errors(const RunConfig& config
   }
 
   const Variant variant = sizes.network.variant;
-  const CascadeInput input{.image = uniform({kBatch, kSize, kSize, sizes.network.input_channels}, 0),
-                           .bsdf = uniform({kBatch, kSize, kSize, kBsdfChannels}, 1)};
   Tensor mask = uniform({kBatch, kSize, kSize, 1}, 2);
   for (double& v : mask.values<double>()) v = v < 0.2 ? 1.0 : 0.0;
+  const CascadeInput input{.image = uniform({kBatch, kSize, kSize, sizes.network.input_channels}, 0),
+                           .bsdf = uniform({kBatch, kSize, kSize, kBsdfChannels}, 1),
+                           .mask = mask};
   const LossTargets targets{.mask = mask,
                             .normal = uniform({kBatch, kSize, kSize, 3}, 3),
                             .depth = uniform({kBatch, kSize, kSize, 1}, 4),

@@ -18,6 +18,7 @@ constexpr std::array<std::string_view, 2> kVariants = {"paper", "release"};
 constexpr std::array<std::string_view, 3> kSchedules = {"step", "epoch", "constant"};
 
 constexpr std::array<std::string_view, 3> kNumerics = {"strict", "balanced", "fast"};
+constexpr std::array<std::string_view, 2> kSkips = {"none", "support"};
 constexpr std::array<std::string_view, 2> kDamagePolicies = {"fail", "skip"};
 
 template <size_t N>
@@ -89,6 +90,8 @@ ModelConfig read_model(const TomlTable& table) {
   model.encode = paper ? EncodeOptions::paper() : EncodeOptions::release();
   model.encode.inputs = read_inputs(table, model.encode.inputs);
   model.reconstruction = table.boolean("reconstruction", true);
+  model.skip = parse_skip(table.choice("skip", to_string(model.skip), kSkips)).value_or(model.skip);
+  model.skip_dilation = table.integer("skip_dilation", model.skip_dilation, {.min = 0, .max = 256});
   return model;
 }
 
@@ -235,7 +238,9 @@ CascadeOptions cascade_options(const RunConfig& config, int stage) {
                       .width = config.model.width},
           .stage = stage,
           .reconstruction = config.model.reconstruction && config.loss.reconstruction.weight > 0.0,
-          .checkpoint = config.train.activation_checkpointing};
+          .checkpoint = config.train.activation_checkpointing,
+          .skip = config.model.skip,
+          .dilation = config.model.skip_dilation};
 }
 
 AdamOptions adam_options(const RunConfig& config, int stage) {

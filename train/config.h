@@ -43,6 +43,8 @@ struct ModelConfig {
   int64_t width = 64;
   EncodeOptions encode = EncodeOptions::paper();  ///< the variant's, with the inputs of the config
   bool reconstruction = true;
+  Skip skip = Skip::kNone;    ///< where the image networks compute (models/cascade.h)
+  int64_t skip_dilation = 0;  ///< tiles around the mask's that are computed too
 };
 
 /// How the learning rate falls (nn/schedule.h); each stage has its own.

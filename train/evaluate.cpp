@@ -172,8 +172,8 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
     if (!batch->normal.defined() || !batch->depth.defined()) {
       fail("evaluate", "scene {} has no ground truth of normal and depth", batch->ids.front());
     }
-    const CascadeOutput out =
-        cascade.forward({.image = batch->input, .bsdf = {}}, {.illumination = false, .sss = sss});
+    const CascadeOutput out = whole(cascade.forward({.image = batch->input, .bsdf = {}, .mask = batch->mask},
+                                                    {.illumination = false, .sss = sss}));
     std::set<int64_t> left_out;  // a stand-in is another test scene: it must not count twice
     for (const ReplacedScene& scene : batch->replaced) {
       left_out.insert(scene.sample);

@@ -51,7 +51,8 @@ int64_t probe_peak(Cascade& cascade, const RunConfig& config, int64_t n) {
   tensor_pool().reset_peak();
   {
     const CascadeWanted wanted = wanted_outputs(config.loss, cascade.options());
-    const CascadeOutput out = cascade.forward({.image = batch.input, .bsdf = batch.bsdf}, wanted);
+    const CascadeOutput out =
+        cascade.forward({.image = batch.input, .bsdf = batch.bsdf, .mask = batch.mask}, wanted);
     backward(compute_losses(config.loss, out, loss_targets(batch)).total);
   }
   return tensor_pool().peak_bytes() - before;

@@ -174,12 +174,12 @@ fs::path predict(const TrainedModel& model, const PredictInput& input, const Pre
   wanted.sss = wanted.sss && model.cascade->has("sss");
 
   const NoGradGuard no_grad;
-  const CascadeOutput result =
-      model.cascade->forward({.image = batch.input, .bsdf = {}}, {.normal = wanted.normal,
-                                                                  .depth = wanted.depth,
-                                                                  .illumination = wanted.illumination,
-                                                                  .sss = wanted.sss,
-                                                                  .reconstruction = false});
+  const CascadeOutput result = whole(model.cascade->forward(
+      {.image = batch.input, .bsdf = {}, .mask = batch.mask}, {.normal = wanted.normal,
+                                                               .depth = wanted.depth,
+                                                               .illumination = wanted.illumination,
+                                                               .sss = wanted.sss,
+                                                               .reconstruction = false}));
   for (const Tensor* tensor : {&result.normal, &result.depth, &result.illumination, &result.sss}) {
     if (tensor->defined() && !all_finite(*tensor)) {
       fail("predict", "scene {}: the result is not finite; are the weights sound?", scene.id);

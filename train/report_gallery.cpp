@@ -128,8 +128,8 @@ std::string gallery(const TrainedModel& model, const Dataset& dataset,
     const Sample sample =
         encode_scene(scene, model.config.model.encode, {.targets = false, .reconstruction = false});
     const Batch batch = make_batch({&sample, 1});
-    const CascadeOutput out =
-        model.cascade->forward({.image = batch.input, .bsdf = {}}, {.illumination = false, .sss = sss});
+    const CascadeOutput out = whole(model.cascade->forward(
+        {.image = batch.input, .bsdf = {}, .mask = batch.mask}, {.illumination = false, .sss = sss}));
     html += scene_row(scene, out, results[index]);
   }
   return html;

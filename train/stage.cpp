@@ -84,7 +84,8 @@ void Stage::take_over(const Cascade& earlier) {
 
 std::optional<StepFailure> Stage::run_micro_batch(const Batch& batch, double share, StepOutcome& outcome) {
   const CascadeWanted wanted = wanted_outputs(loss_, cascade_.options());
-  const CascadeOutput out = cascade_.forward({.image = batch.input, .bsdf = batch.bsdf}, wanted);
+  const CascadeOutput out =
+      cascade_.forward({.image = batch.input, .bsdf = batch.bsdf, .mask = batch.mask}, wanted);
   const Losses losses = compute_losses(loss_, out, loss_targets(batch));
   const double total = losses.total.item();
   if (!std::isfinite(total)) {

@@ -123,6 +123,19 @@ Tensor expand_to_sites(const Tensor& x, const std::shared_ptr<const ActiveSites>
       [compute, kept = x.saved()] { return compute(kept.restored()); });
 }
 
+std::shared_ptr<const ActiveSites> support_of(const Tensor& mask, int64_t dilation) {
+  const ImageSize size = image_size("support", mask);
+  if (mask.sites() || size.channels != 1) {
+    fail("support", "mask has shape {}, expected N x H x W x 1", to_string(mask.shape()));
+  }
+  std::vector<uint8_t> object(static_cast<size_t>(mask.numel()));
+  dispatch_floating("support", mask.dtype(), [&]<class T>() {
+    std::transform(mask.data<T>(), mask.data<T>() + mask.numel(), object.begin(),
+                   [](T value) { return static_cast<uint8_t>(value != T{} ? 1 : 0); });
+  });
+  return support_of(size.n, size.h, size.w, object, dilation);
+}
+
 std::shared_ptr<const ActiveSites> common_sites(std::string_view operation, std::span<const Tensor> tensors) {
   const std::shared_ptr<const ActiveSites>& sites = tensors.front().sites();
   for (const Tensor& tensor : tensors.subspan(1)) {

@@ -17,6 +17,10 @@ Tensor to_dense(const Tensor& x, double fill = 0.0);
 /// A vector an image at all of the image's sites: N x K -> sites x K.
 Tensor expand_to_sites(const Tensor& x, const std::shared_ptr<const ActiveSites>& sites);
 
+/// The tiles that a mask touches (core/active_sites.h). mask: N x H x W x 1, nonzero on the object; H and W
+/// multiples of 16.
+std::shared_ptr<const ActiveSites> support_of(const Tensor& mask, int64_t dilation = 0);
+
 /// The sites that tensors of one shape have in common; null where none has any. Throws Error, naming the
 /// operation, where they differ.
 std::shared_ptr<const ActiveSites> common_sites(std::string_view operation, std::span<const Tensor> tensors);

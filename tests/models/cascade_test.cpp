@@ -22,7 +22,8 @@ constexpr int64_t kBatch = 2;
 
 CascadeInput small_input(int64_t size = 32) {
   return {.image = test::pattern_tensor({kBatch, size, size, 19}, 1, 1.0, 0.0, DType::kFloat32),
-          .bsdf = test::pattern_tensor({kBatch, size, size, 12}, 2, 1.0, 0.0, DType::kFloat32)};
+          .bsdf = test::pattern_tensor({kBatch, size, size, 12}, 2, 1.0, 0.0, DType::kFloat32),
+          .mask = {}};
 }
 
 bool equal(const Tensor& a, const Tensor& b) {

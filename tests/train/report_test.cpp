@@ -193,7 +193,8 @@ TEST_CASE("the numbers of one scene are those that its maps give by hand") {
   const Scene train = dataset->load(Split::kTrain, 0, {});
   const Sample sample = encode_scene(scene, EncodeOptions::paper());
   const NoGradGuard no_grad;
-  const CascadeOutput out = cascade.forward({.image = make_batch({&sample, 1}).input, .bsdf = {}}, {});
+  const CascadeOutput out =
+      cascade.forward({.image = make_batch({&sample, 1}).input, .bsdf = {}, .mask = {}}, {});
   const std::span<const float> n = std::as_const(out.normal).values<float>();
   const std::span<const float> d = std::as_const(out.depth).values<float>();
   const std::span<const float> p = std::as_const(out.sss).values<float>();

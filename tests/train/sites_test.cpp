@@ -11,18 +11,17 @@
 namespace opaline {
 namespace {
 
-using Sites = std::shared_ptr<const ActiveSites>;
-
 constexpr int64_t kSize = 32;
+constexpr int64_t kImages = 2;
 
-/// Pixels of images of 32 x 32 by a rule of (image, row, column).
+/// A mask by a rule of (image, row, column).
 template <class F>
-Sites sites_where(int64_t n, const F& active) {
-  std::vector<uint8_t> flags;
-  for (int64_t i = 0; i < n * kSize * kSize; ++i) {
-    flags.push_back(active(i / (kSize * kSize), i / kSize % kSize, i % kSize) ? 1 : 0);
+Tensor mask_where(const F& inside) {
+  Tensor mask({kImages, kSize, kSize, 1});
+  for (int64_t i = 0; i < mask.numel(); ++i) {
+    mask.data<float>()[i] = inside(i / (kSize * kSize), i / kSize % kSize, i % kSize) ? 1.0F : 0.0F;
   }
-  return std::make_shared<const ActiveSites>(n, kSize, kSize, flags);
+  return mask;
 }
 
 bool same_bits(const Tensor& a, const Tensor& b) {
@@ -34,22 +33,18 @@ struct StageStep {
   std::vector<Tensor> gradients;
 };
 
-StageStep stage_step(const Sites& sites, bool checkpoint = false) {
-  const CascadeOptions options{.network = {.image_size = kSize, .width = 4}, .checkpoint = checkpoint};
+StageStep stage_step(const Tensor& mask, Skip skip, bool checkpoint = false) {
+  const CascadeOptions options{
+      .network = {.image_size = kSize, .width = 4}, .checkpoint = checkpoint, .skip = skip};
   Cascade cascade(options);
   cascade.initialize(3);
+  const int64_t n = kImages;
   const auto pattern = [](Shape shape, uint32_t tag) {
     return test::pattern_tensor(std::move(shape), tag, 1.0, 0.0, DType::kFloat32);
   };
-  const int64_t n = 2;
-  CascadeInput input{.image = pattern({n, kSize, kSize, options.network.input_channels}, 1),
-                     .bsdf = pattern({n, kSize, kSize, kBsdfChannels}, 2),
-                     .sites = sites};
-  Tensor mask({n, kSize, kSize, 1});
-  for (int64_t i = 0; i < mask.numel(); ++i) {
-    const bool inside = !sites || sites->site(i / (kSize * kSize), i / kSize % kSize, i % kSize) >= 0;
-    mask.data<float>()[i] = inside && i % 3 != 0 ? 1.0F : 0.0F;
-  }
+  const CascadeInput input{.image = pattern({n, kSize, kSize, options.network.input_channels}, 1),
+                           .bsdf = pattern({n, kSize, kSize, kBsdfChannels}, 2),
+                           .mask = mask};
   const LossTargets targets{.mask = mask,
                             .normal = pattern({n, kSize, kSize, 3}, 3),
                             .depth = pattern({n, kSize, kSize, 1}, 4),
@@ -68,10 +63,11 @@ StageStep stage_step(const Sites& sites, bool checkpoint = false) {
 }
 
 TEST_CASE("a stage on active sites: full as without, checkpointed as without, empty without harm") {
-  const Sites full = sites_where(2, [](int64_t, int64_t, int64_t) { return true; });
-  const Sites some =
-      sites_where(2, [](int64_t n, int64_t i, int64_t j) { return i < 16 || (n == 0 && j < 16); });
-  const Sites none = sites_where(2, [](int64_t, int64_t, int64_t) { return false; });
+  // A pixel of every tile is all that the support needs.
+  const Tensor full =
+      mask_where([](int64_t, int64_t i, int64_t j) { return i % 15 == 1 || (i * j) % 3 == 1; });
+  const Tensor some = mask_where([](int64_t n, int64_t i, int64_t j) { return i < 9 && (n == 0 || j > 20); });
+  const Tensor none = mask_where([](int64_t, int64_t, int64_t) { return false; });
   const auto check_equal = [](const StageStep& a, const StageStep& b) {
     CHECK(a.loss == b.loss);
     REQUIRE(a.gradients.size() == b.gradients.size());
@@ -80,9 +76,10 @@ TEST_CASE("a stage on active sites: full as without, checkpointed as without, em
       CHECK(same_bits(a.gradients[i], b.gradients[i]));
     }
   };
-  check_equal(stage_step(nullptr), stage_step(full));
-  check_equal(stage_step(some), stage_step(some, true));
-  const StageStep empty = stage_step(none);
+  check_equal(stage_step(full, Skip::kNone), stage_step(full, Skip::kSupport));
+  check_equal(stage_step(some, Skip::kSupport), stage_step(some, Skip::kSupport, true));
+  CHECK(stage_step(some, Skip::kSupport).loss != stage_step(some, Skip::kNone).loss);
+  const StageStep empty = stage_step(none, Skip::kSupport);
   CHECK(std::isfinite(empty.loss));
   for (const Tensor& gradient : empty.gradients) {
     REQUIRE(gradient.defined());

@@ -56,7 +56,7 @@ class Twin {
   }
 
   Losses losses(const Batch& batch) {
-    const CascadeOutput out = cascade_.forward({.image = batch.input, .bsdf = batch.bsdf},
+    const CascadeOutput out = cascade_.forward({.image = batch.input, .bsdf = batch.bsdf, .mask = batch.mask},
                                                wanted_outputs(loss_, cascade_.options()));
     return compute_losses(loss_, out, loss_targets(batch));
   }
