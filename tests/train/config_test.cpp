@@ -151,6 +151,16 @@ TEST_CASE("exposure, sensor and damage policy come from [data], off by default")
   CHECK_THAT(error_of("[data]\ndamaged = 'ignore'\n"), Contains("skip"));
 }
 
+TEST_CASE("what the networks skip is a model's own") {
+  const RunConfig plain = parse_run_config("", "test.toml");
+  CHECK(cascade_options(plain, 2).skip == Skip::kNone);
+  const RunConfig config = parse_run_config("[model]\nskip = 'support'\nskip_dilation = 1\n", "test.toml");
+  CHECK(cascade_options(config, 2).skip == Skip::kSupport);
+  CHECK(cascade_options(config, 2).dilation == 1);
+  CHECK(config_differences(plain.text, config.text).size() == 2);
+  CHECK_THAT(error_of("[model]\nskip = 'mask'\n"), Contains("support"));
+}
+
 TEST_CASE("a small micro-batch is a warning") {
   const RunConfig config = parse_run_config("[train]\nbatch = 8\nmicro_batch = 4\n", "test.toml");
   REQUIRE(config.warnings.size() == 1);

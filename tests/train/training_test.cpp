@@ -195,6 +195,32 @@ TEST_CASE("a run on sensor images resumes bitwise") {
   CHECK(log_without_wall(whole.path()) != log_without_wall(clean.path()));
 }
 
+TEST_CASE("a run that skips what masks leave out resumes bitwise, with any number of threads") {
+  // Among the scenes one has no object, and one a single pixel of it.
+  const auto data = [] { return scenes({.train = 12, .test = 2, .size = 64, .empty = 3, .one_pixel = 5}); };
+  const auto config = [](const std::string& skip, const std::string& threads) {
+    return small_config({"model.image_size=64", "model.skip=" + skip, "train.threads=" + threads,
+                         "stage1.epochs=1", "stage2.epochs=1"});
+  };
+  const TemporaryFolder folder("skip");
+  const fs::path whole = folder.path() / "whole", parts = folder.path() / "parts";
+  const TrainResult result = start_training(config("support", "1"), quiet(whole, data()));
+  const std::string last = "step-" + std::to_string(result.step);
+  start_training(config("support", "3"), stopping_after(3, quiet(parts, data())));
+  resume_training(config("support", "3"), quiet(parts, data()));
+  const auto left = files_of(whole / "checkpoints" / last), right = files_of(parts / "checkpoints" / last);
+  REQUIRE(left.size() == right.size());
+  for (const auto& [name, bytes] : left) {
+    INFO(name);
+    if (name != "state.json") CHECK(right.at(name) == bytes);  // the state has the config, threads and all
+  }
+  CHECK(log_without_wall(whole) == log_without_wall(parts));
+
+  start_training(config("none", "1"), quiet(folder.path() / "dense", data()));
+  CHECK(log_without_wall(whole) != log_without_wall(folder.path() / "dense"));
+  CHECK_THROWS_WITH(resume_training(config("none", "1"), quiet(parts, data())), Contains("model.skip"));
+}
+
 TEST_CASE("threads change nothing but the time") {
   const TemporaryFolder folder("threads");
   for (const std::string threads : {"1", "2", "3"}) {
