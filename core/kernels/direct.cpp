@@ -204,9 +204,12 @@ void fill_sites(const ActiveSites& sites, const Lattice& rows, const Lattice& co
 template <class T>
 void direct_forward(const ConvShape& s, const T* x, const T* weight, const T* bias, T* y,
                     const ConvSites& sites) {
-  PackedWeights<T> packed(s.kernel_h, s.kernel_w * s.in, s.out, bias);
+  std::vector<PackedWeights<T>> weights;
+  const PackedWeights<T>& packed = weights.emplace_back(s.kernel_h, s.kernel_w * s.in, s.out, bias);
   const int64_t taps = s.kernel_h * s.kernel_w;
-  packed.fill_filters(weight, s.in, taps, s.in * taps, taps, [&](int64_t tap) { return tap * s.in; });
+  fill_filters(weights, weight, s.in, taps, s.in * taps, taps, [&](int64_t tap) {
+    return TapPlace{0, tap * s.in};
+  });
   const Image<T> image = s.input(x, sites.x);
   if (sites.y != nullptr) {
     return correlate_sites(image, -s.padding, -s.padding, s.stride, packed, *sites.y, {}, {}, y, s.out);
@@ -232,41 +235,59 @@ void direct_input_gradient(const ConvShape& s, const T* dy, const T* weight, con
     return Axis{first, extent > first ? (extent - first + s.stride - 1) / s.stride : 0, taps,
                 (first + padding - c) / s.stride - (taps - 1)};
   };
+  struct Class {
+    Axis rows, columns;
+    int64_t cy, cx;
+  };
+  std::vector<Class> classes;
+  std::vector<PackedWeights<T>> weights;
   for (int64_t cy = 0; cy < s.stride; ++cy) {
     for (int64_t cx = 0; cx < s.stride; ++cx) {
-      const Axis rows = axis(cy, h, s.kernel_h);
-      const Axis columns = axis(cx, w, s.kernel_w);
-      if (rows.count == 0 || columns.count == 0) continue;
-      const OutputView<T> out{dx + (rows.first * w + columns.first) * s.in, h * w * s.in, s.stride * w * s.in,
-                              s.stride * s.in};
-      if (rows.taps == 0 || columns.taps == 0) {  // no tap reaches these pixels: the bias alone
-        if (sites.x != nullptr) {
-          fill_sites(*sites.x, {rows.first, s.stride}, {columns.first, s.stride}, bias, dx, s.in);
-          continue;
-        }
-        parallel_for(s.n * rows.count, [&](int64_t i) {
-          T* to = out.data + i / rows.count * out.image_stride + i % rows.count * out.row_stride;
-          for (int64_t x = 0; x < columns.count; ++x, to += out.pixel_stride) {
-            for (int64_t j = 0; j < s.in; ++j) to[j] = bias != nullptr ? bias[j] : T{};
-          }
-        });
-        continue;
-      }
-      PackedWeights<T> packed(rows.taps, columns.taps * s.out, s.in, bias);
-      const int64_t taps = s.kernel_h * s.kernel_w;
-      packed.fill_filters(weight, s.out, s.in * taps, taps, taps, [&](int64_t tap) -> int64_t {
-        const int64_t kh = tap / s.kernel_w - cy, kw = tap % s.kernel_w - cx;
-        if (kh < 0 || kh % s.stride != 0 || kw < 0 || kw % s.stride != 0) return -1;
-        return ((rows.taps - 1 - kh / s.stride) * columns.taps + columns.taps - 1 - kw / s.stride) * s.out;
-      });
-      const Image<T> image = s.output(dy, sites.y);
-      if (sites.x != nullptr) {
-        correlate_sites(image, rows.top, columns.top, 1, packed, *sites.x, {rows.first, s.stride},
-                        {columns.first, s.stride}, dx, s.in);
-        continue;
-      }
-      correlate(image, rows.top, columns.top, 1, packed, rows.count, columns.count, out);
+      const Class c{axis(cy, h, s.kernel_h), axis(cx, w, s.kernel_w), cy, cx};
+      if (c.rows.count == 0 || c.columns.count == 0) continue;
+      classes.push_back(c);
+      weights.emplace_back(c.rows.taps, c.columns.taps * s.out, s.in, bias);
     }
+  }
+  if (classes.empty()) return;
+  const int64_t taps = s.kernel_h * s.kernel_w;
+  fill_filters(weights, weight, s.out, s.in * taps, taps, taps, [&](int64_t tap) {
+    const int64_t kh = tap / s.kernel_w, kw = tap % s.kernel_w;
+    for (size_t i = 0; i < classes.size(); ++i) {
+      const Class& c = classes[i];
+      if (kh % s.stride != c.cy || kw % s.stride != c.cx) continue;
+      return TapPlace{
+          i,
+          ((c.rows.taps - 1 - kh / s.stride) * c.columns.taps + c.columns.taps - 1 - kw / s.stride) * s.out};
+    }
+    return TapPlace{};
+  });
+  const Image<T> image = s.output(dy, sites.y);
+  for (size_t i = 0; i < classes.size(); ++i) {
+    const auto& [rows, columns, cy, cx] = classes[i];
+    const bool reached = rows.taps > 0 && columns.taps > 0;
+    if (sites.x != nullptr) {
+      const Lattice down{rows.first, s.stride}, across{columns.first, s.stride};
+      if (reached) {
+        correlate_sites(image, rows.top, columns.top, 1, weights[i], *sites.x, down, across, dx, s.in);
+      } else {
+        fill_sites(*sites.x, down, across, bias, dx, s.in);
+      }
+      continue;
+    }
+    const OutputView<T> out{dx + (rows.first * w + columns.first) * s.in, h * w * s.in, s.stride * w * s.in,
+                            s.stride * s.in};
+    if (reached) {
+      correlate(image, rows.top, columns.top, 1, weights[i], rows.count, columns.count, out);
+      continue;
+    }
+    // No tap reaches these pixels: the bias alone.
+    parallel_for(s.n * rows.count, [&, row_count = rows.count, column_count = columns.count](int64_t line) {
+      T* to = out.data + line / row_count * out.image_stride + line % row_count * out.row_stride;
+      for (int64_t x = 0; x < column_count; ++x, to += out.pixel_stride) {
+        for (int64_t j = 0; j < s.in; ++j) to[j] = bias != nullptr ? bias[j] : T{};
+      }
+    });
   }
 }
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <vector>
 
 #include "core/kernels/scratch.h"
 #include "core/kernels/tile.h"
@@ -59,31 +60,6 @@ struct PackedWeights {
     });
   }
 
-  /// From filters of `taps` neighbouring values: that of channel c and column j begins at
-  /// data[c * channel_stride + j * column_stride]. Tap t of channel 0 has its place at position place(t),
-  /// counted over all rows of the kernel, and channels follow each other; a negative place leaves it out.
-  template <class F>
-  void fill_filters(const T* data, int64_t channels, int64_t channel_stride, int64_t column_stride,
-                    int64_t taps, const F& place) {
-    constexpr int64_t kChannels = 16;  // of a unit
-    const int64_t units = (channels + kChannels - 1) / kChannels;
-    for_units(panels * units, true, [&](int64_t unit) {
-      const int64_t p = unit / units, begin = unit % units * kChannels;
-      const int64_t valid = std::min(width, columns - p * width);
-      const Scratch<T> filters(taps * width);
-      for (int64_t c = begin; c < std::min(channels, begin + kChannels); ++c) {
-        transpose(data + c * channel_stride + p * width * column_stride, column_stride, valid, taps,
-                  filters.data(), width, width);
-        for (int64_t t = 0; t < taps; ++t) {
-          const int64_t position = place(t);
-          if (position < 0) continue;
-          std::copy_n(filters.data() + t * width, width,
-                      values.data() + (p * kernel_h * run + position + c) * width);
-        }
-      }
-    });
-  }
-
  private:
   template <class F>
   static void for_units(int64_t n, bool parallel, const F& f) {
@@ -94,5 +70,41 @@ struct PackedWeights {
     }
   }
 };
+
+/// Where a filter's tap has its place: position `at` (of channel 0, counted over all rows of the kernel) of
+/// one of several packed weights; a negative one leaves it out.
+struct TapPlace {
+  size_t weights = 0;
+  int64_t at = -1;
+};
+
+/// Packs filters of `taps` neighbouring values: that of channel c and column j begins at data[c *
+/// channel_stride + j * column_stride]. `place` gives the TapPlace of a tap; channels follow each other. The
+/// weights have the same columns.
+template <class T, class F>
+void fill_filters(std::vector<PackedWeights<T>>& weights, const T* data, int64_t channels,
+                  int64_t channel_stride, int64_t column_stride, int64_t taps, const F& place) {
+  constexpr int64_t kChannels = 16;  // of a unit
+  const int64_t units = (channels + kChannels - 1) / kChannels;
+  const int64_t width = weights.front().width, columns = weights.front().columns;
+  std::vector<TapPlace> places;
+  for (int64_t t = 0; t < taps; ++t) places.push_back(place(t));
+  parallel_for(weights.front().panels * units, [&](int64_t unit) {
+    const int64_t p = unit / units, begin = unit % units * kChannels;
+    const int64_t valid = std::min(width, columns - p * width);
+    const Scratch<T> filters(taps * width);
+    for (int64_t c = begin; c < std::min(channels, begin + kChannels); ++c) {
+      transpose(data + c * channel_stride + p * width * column_stride, column_stride, valid, taps,
+                filters.data(), width, width);
+      for (int64_t t = 0; t < taps; ++t) {
+        const TapPlace& to = places[static_cast<size_t>(t)];
+        if (to.at < 0) continue;
+        const PackedWeights<T>& w = weights[to.weights];
+        std::copy_n(filters.data() + t * width, width,
+                    w.values.data() + (p * w.kernel_h * w.run + to.at + c) * width);
+      }
+    }
+  });
+}
 
 }  // namespace opaline::kernels
