@@ -67,6 +67,11 @@ Tensor make_mask(const Workload& workload) {
   return mask;
 }
 
+double share_of(const std::shared_ptr<const ActiveSites>& sites) {
+  if (!sites) return 1.0;
+  return static_cast<double>(sites->count()) / static_cast<double>(sites->n() * sites->h() * sites->w());
+}
+
 class NetworkStep : public Step {
  public:
   explicit NetworkStep(const Workload& workload)
@@ -86,6 +91,7 @@ class NetworkStep : public Step {
   void zero_grad() override { network_->zero_grad(); }
   void set_training(bool on) override { network_->set_training(on); }
   std::vector<NamedTensor> parameters() const override { return network_->named_parameters(); }
+  double computed_share() const override { return share_of(input_.sites()); }
 
  private:
   std::unique_ptr<Network> network_;
@@ -125,6 +131,9 @@ class StageStep : public Step {
   void zero_grad() override { cascade_.zero_grad(); }
   void set_training(bool on) override { cascade_.set_training(on); }
   std::vector<NamedTensor> parameters() const override { return cascade_.named_parameters(); }
+  double computed_share() const override {
+    return cascade_.options().skip == Skip::kNone ? 1.0 : share_of(support_of(targets_.mask));
+  }
 
  private:
   bool losses_;

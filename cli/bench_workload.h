@@ -55,6 +55,8 @@ class Step {
   virtual void zero_grad() = 0;
   virtual void set_training(bool on) = 0;
   virtual std::vector<NamedTensor> parameters() const = 0;
+  /// The share of the pixels that are computed where something is skipped.
+  virtual double computed_share() const = 0;
 };
 
 /// Throws UsageError on sizes that the networks cannot have and on a bad mask.

@@ -82,6 +82,8 @@ class Cascade {
   /// Parameters of all networks, as "<network>.<parameter>".
   std::vector<NamedTensor> named_parameters() const;
   void set_training(bool on);
+  /// Weights are the same either way.
+  void set_skip(Skip skip) { options_.skip = skip; }
   void zero_grad();
 
  private:
