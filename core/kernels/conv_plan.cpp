@@ -12,17 +12,24 @@ namespace {
 
 constexpr std::array kPasses{ConvPass::kForward, ConvPass::kInputGradient, ConvPass::kWeightGradient};
 
-/// Work of a pass in multiply-adds at the full rate of the machine. Its three terms, from measurements of
-/// layers of 16 to 512 channels: the products; what a filter costs (it is transformed, written and read
-/// again, whatever the image's size); what a tile costs (it is transformed on the way in and out).
+double share(const ConvShape& s) {
+  return static_cast<double>(s.eighths) / 8.0;
+}
+
+/// Work of a pass in multiply-adds at the full rate of the machine. Its terms, from measurements of layers of
+/// 16 to 512 channels and 6 to 256 pixels a side: the products; what a filter costs, whatever the image's
+/// size (it is fetched, turned, transformed, written and read again; the sums for its gradient likewise);
+/// what a tile costs (it is transformed on the way in and out).
 double direct_work(const ConvShape& s, ConvPass pass) {
-  const double products = static_cast<double>(s.n * s.out_h() * s.out_w()) *
-                          static_cast<double>(s.in * s.out) * static_cast<double>(s.kernel_h * s.kernel_w);
-  return products / (pass == ConvPass::kWeightGradient ? 0.7 : 0.88);
+  const bool weights = pass == ConvPass::kWeightGradient;
+  const double products = share(s) * static_cast<double>(s.n * s.out_h() * s.out_w()) *
+                          static_cast<double>(s.kernel_h * s.kernel_w);
+  const double filter = weights ? 4500.0 : 1700.0;
+  return static_cast<double>(s.in * s.out) * (products / (weights ? 0.7 : 0.88) + filter);
 }
 
 double winograd_work(const ConvShape& s, ConvPass pass, int outputs) {
-  constexpr double kFilter = 100.0, kSum = 80.0, kTile = 26.0;
+  constexpr double kFetch = 500.0, kFilter = 15.0, kSum = 80.0, kTile = 26.0;
   constexpr int64_t kVector = 16;
   const bool backward = pass == ConvPass::kInputGradient;
   const int64_t border = backward && s.reflect ? s.padding : 0;
@@ -30,16 +37,17 @@ double winograd_work(const ConvShape& s, ConvPass pass, int outputs) {
                 columns = backward ? s.w + 2 * border : s.out_w();
   const auto down = static_cast<double>((rows + outputs - 1) / outputs);
   const auto across = static_cast<double>((columns + outputs - 1) / outputs);
-  const double tiles = static_cast<double>(s.n) * down * across;
+  const double tiles = share(s) * static_cast<double>(s.n) * down * across;
   const int64_t taps = outputs == 3 ? 4 : 3, side = outputs + taps - 1;
   const int64_t blocks = (s.kernel_h + taps - 1) / taps * ((s.kernel_w + taps - 1) / taps);
   const int64_t from = backward ? s.out : s.in, to = backward ? s.in : s.out;
   const int64_t sums = blocks == 1 ? from : blocks * ((from + kVector - 1) / kVector * kVector);
   const auto filters = static_cast<double>(sums * to), channels = static_cast<double>(sums + to);
-  const double each = pass == ConvPass::kWeightGradient ? kSum : kFilter;
+  const auto frequencies = static_cast<double>(side * side);
+  const double each = pass == ConvPass::kWeightGradient ? kSum * frequencies : kFetch + kFilter * frequencies;
   // Larger tiles go through more registers than there are, and save little: they should be worth their error.
   const double transform = kTile * (outputs == 6 ? 2.4 : 1.0);
-  return static_cast<double>(side * side) * (filters * (tiles / 0.88 + each) + tiles * channels * transform);
+  return filters * (frequencies * tiles / 0.88 + each) + frequencies * tiles * channels * transform;
 }
 
 }  // namespace
@@ -116,8 +124,9 @@ void ConvPlan::load(std::string_view json, std::string_view source) {
 }
 
 std::string to_string(const ConvShape& s) {
-  return fmt::format("{}x{}x{}x{} -> {}, kernel {}x{}, stride {}, padding {}{}", s.n, s.h, s.w, s.in, s.out,
-                     s.kernel_h, s.kernel_w, s.stride, s.padding, s.reflect ? " mirrored" : "");
+  return fmt::format("{}x{}x{}x{} -> {}, kernel {}x{}, stride {}, padding {}{}{}", s.n, s.h, s.w, s.in, s.out,
+                     s.kernel_h, s.kernel_w, s.stride, s.padding, s.reflect ? " mirrored" : "",
+                     s.eighths == 8 ? "" : fmt::format(", {}/8 of the pixels", s.eighths));
 }
 
 ConvShape parse_conv_shape(std::string_view text) {
@@ -128,7 +137,16 @@ ConvShape parse_conv_shape(std::string_view text) {
   const int read =
       std::sscanf(line.c_str(), "%lldx%lldx%lldx%lld -> %lld, kernel %lldx%lld, stride %lld, padding %lld%n",
                   &v[0], &v[1], &v[2], &v[3], &v[4], &v[5], &v[6], &v[7], &v[8], &end);
-  const std::string_view rest = read == 9 ? std::string_view(line).substr(static_cast<size_t>(end)) : "?";
+  std::string_view rest = read == 9 ? std::string_view(line).substr(static_cast<size_t>(end)) : "?";
+  int64_t eighths = 8;
+  constexpr std::string_view kOfPixels = "/8 of the pixels";
+  if (rest.ends_with(kOfPixels) && rest.size() >= kOfPixels.size() + 3) {
+    rest.remove_suffix(kOfPixels.size());
+    eighths = rest.back() - '0';
+    rest.remove_suffix(1);
+    const bool sound = eighths >= 0 && eighths < 8 && rest.ends_with(", ");
+    rest = sound ? rest.substr(0, rest.size() - 2) : "?";
+  }
   if (read != 9 || (!rest.empty() && rest != " mirrored") ||
       std::any_of(std::begin(v), std::end(v),
                   [](long long value) { return value < 0 || value > (1LL << 40); })) {
@@ -143,7 +161,8 @@ ConvShape parse_conv_shape(std::string_view text) {
        .kernel_w = v[6],
        .stride = v[7],
        .padding = v[8],
-       .reflect = !rest.empty()};
+       .reflect = !rest.empty(),
+       .eighths = eighths};
   return s;
 }
 

@@ -18,6 +18,23 @@ struct OutputView {
   int64_t image_stride, row_stride, pixel_stride;
 };
 
+/// Panels of weights [first, last).
+struct Panels {
+  int64_t first, last;
+};
+
+/// Calls f(unit, panels) for units of pixels; where these are few, several times each, for some of the
+/// panels.
+template <class F>
+void for_units(int64_t units, int64_t panels, const F& f) {
+  constexpr int64_t kUnits = 16;
+  const int64_t parts = std::clamp<int64_t>(kUnits / std::max<int64_t>(units, 1), 1, panels);
+  parallel_for(units * parts, [&](int64_t i) {
+    const int64_t part = i % parts;
+    f(i / parts, Panels{part * panels / parts, (part + 1) * panels / parts});
+  });
+}
+
 /// A convolution's inputs, for output rows from `first` on: those whose pixels lie in the image are read in
 /// place, the others from copies with their border.
 template <class T>
@@ -38,8 +55,8 @@ class Correlation {
     end_ = std::clamp(columns_from(x.w - left - kernel_w_ + 1), begin_, out_w);
   }
 
-  /// Output rows [first, last) of an image.
-  void run(int64_t image, int64_t first, int64_t last) const {
+  /// Output rows [first, last) of an image, for some panels of weights.
+  void run(int64_t image, int64_t first, int64_t last, const Panels& panels) const {
     const int64_t row = top_ + first * stride_, count = last - first;
     const int64_t rows = (count - 1) * stride_ + weights_.kernel_h;
     T* const y = y_.data + image * y_.image_stride + first * y_.row_stride;
@@ -52,17 +69,18 @@ class Correlation {
                 .c_line = y_.row_stride,
                 .c_stride = y_.pixel_stride,
                 .lines = count,
-                .rows = end_ - begin_});
-      run_border(image, row, count, 0, begin_, y);
-      run_border(image, row, count, end_, out_w_, y);
+                .rows = end_ - begin_},
+               panels);
+      run_border(image, row, count, 0, begin_, y, panels);
+      run_border(image, row, count, end_, out_w_, y, panels);
       return;
     }
-    run_copy(image, first, 0, count, out_w_, y, y_.row_stride);
+    run_copy(image, first, 0, count, out_w_, y, y_.row_stride, panels);
   }
 
   /// `count` rows of `columns` outputs from (first, column) on, to `y` with `y_line` from a row to the next.
   void run_copy(int64_t image, int64_t first, int64_t column, int64_t count, int64_t columns, T* y,
-                int64_t y_line) const {
+                int64_t y_line, const Panels& panels) const {
     const int64_t row = top_ + first * stride_, rows = (count - 1) * stride_ + weights_.kernel_h;
     const int64_t width = (columns - 1) * stride_ + kernel_w_, line = width * x_.channels;
     const Scratch<T> copy(rows * line);
@@ -77,12 +95,14 @@ class Correlation {
               .c_line = y_line,
               .c_stride = y_.pixel_stride,
               .lines = count,
-              .rows = columns});
+              .rows = columns},
+             panels);
   }
 
  private:
   /// The output columns [begin, end) at a side, each with a copy of what its kernel meets.
-  void run_border(int64_t image, int64_t row, int64_t count, int64_t begin, int64_t end, T* y) const {
+  void run_border(int64_t image, int64_t row, int64_t count, int64_t begin, int64_t end, T* y,
+                  const Panels& panels) const {
     if (begin == end) return;
     const int64_t patch = weights_.kernel_h * weights_.run;
     const Scratch<T> copy((end - begin) * count * patch);
@@ -99,15 +119,16 @@ class Correlation {
               .c_line = y_.pixel_stride,
               .c_stride = y_.row_stride,
               .lines = end - begin,
-              .rows = count});
+              .rows = count},
+             panels);
   }
 
-  /// All panels of weights, for a tile that lacks nothing else.
-  void multiply(DotTile<T> t) const {
+  /// Panels of weights, for a tile that lacks nothing else.
+  void multiply(DotTile<T> t, const Panels& panels) const {
     t.runs = weights_.kernel_h;
     t.run = weights_.run;
     T* const c = t.c;
-    for (int64_t p = 0; p < weights_.panels; ++p) {
+    for (int64_t p = panels.first; p < panels.last; ++p) {
       t.b = weights_.panel(p);
       t.bias = weights_.has_bias ? weights_.bias.data() + p * weights_.width : nullptr;
       t.columns = std::min(weights_.width, weights_.columns - p * weights_.width);
@@ -160,9 +181,10 @@ void correlate_sites(const Image<T>& x, int64_t top, int64_t left, int64_t strid
   }
   const OutputView<T> view{y, 0, 0, columns.step * channels};
   const Correlation<T> correlation(x, top, left, stride, weights, 0, view);
-  parallel_for(static_cast<int64_t>(units.size()), [&](int64_t i) {
+  for_units(static_cast<int64_t>(units.size()), weights.panels, [&](int64_t i, const Panels& panels) {
     const Unit& unit = units[static_cast<size_t>(i)];
-    correlation.run_copy(unit.image, unit.row, unit.column, unit.rows, unit.columns, unit.y, unit.line);
+    correlation.run_copy(unit.image, unit.row, unit.column, unit.rows, unit.columns, unit.y, unit.line,
+                         panels);
   });
 }
 
@@ -178,9 +200,9 @@ void correlate(const Image<T>& x, int64_t top, int64_t left, int64_t stride, con
                                 std::max<int64_t>(out_h, 1));
   const int64_t units = (out_h + rows - 1) / rows;
   const Correlation<T> correlation(x, top, left, stride, weights, out_w, y);
-  parallel_for(x.n * units, [&](int64_t unit) {
+  for_units(x.n * units, weights.panels, [&](int64_t unit, const Panels& panels) {
     const int64_t first = unit % units * rows;
-    correlation.run(unit / units, first, std::min(first + rows, out_h));
+    correlation.run(unit / units, first, std::min(first + rows, out_h), panels);
   });
 }
 

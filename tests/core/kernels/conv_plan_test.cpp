@@ -38,8 +38,12 @@ TEST_CASE("numerics admit algorithms by their error") {
     CHECK(choose_algorithm(stem, pass, Numerics::kStrict) == 0);
     CHECK(choose_algorithm(stem, pass, Numerics::kBalanced) == 3);
   }
-  // A few pixels do not pay for the transformation of many filters.
-  CHECK(choose_algorithm(layer(1, 4, 512, 512), ConvPass::kForward, Numerics::kBalanced) == 0);
+  // A few tiles do not pay for larger transformed filters: of a small image, or where few pixels exist.
+  CHECK(choose_algorithm(layer(1, 4, 512, 512), ConvPass::kWeightGradient, Numerics::kBalanced) == 2);
+  ConvShape part = layer(2, 32, 512, 512);
+  CHECK(choose_algorithm(part, ConvPass::kWeightGradient, Numerics::kBalanced) == 4);
+  part.eighths = 1;
+  CHECK(choose_algorithm(part, ConvPass::kWeightGradient, Numerics::kBalanced) == 2);
 }
 
 TEST_CASE("a plan keeps its choices and goes through JSON") {
@@ -100,8 +104,14 @@ TEST_CASE("a shape goes through text") {
   s.reflect = true;
   s.stride = 2;
   CHECK(parse_conv_shape(to_string(s)) == s);
+  s.eighths = 3;
+  CHECK(parse_conv_shape(to_string(s)) == s);
+  s.reflect = false;
+  CHECK(parse_conv_shape(to_string(s)) == s);
   for (const std::string& text : std::vector<std::string>{
            "", "2x64x64x256", "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1 reflected",
+           "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1, 9/8 of the pixels",
+           "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1 mirrored3/8 of the pixels",
            "2x64x64x-1 -> 256, kernel 3x3, stride 1, padding 1"}) {
     INFO(text);
     CHECK_THROWS_AS(parse_conv_shape(text), Error);
