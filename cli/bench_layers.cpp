@@ -188,6 +188,7 @@ std::vector<Layer> layers_of_run(const LayersArguments& arguments) {
   const TrainedModel model = load_trained_model({arguments.run}, warn, all);
   Cascade& cascade = *model.cascade;
   cascade.set_training(true);
+  cascade.set_skip(Skip::kNone);  // layers are timed as a whole
   Loader loader(open_dataset(model.config.data.path), {.split = Split::kTest,
                                                        .batch = arguments.batch,
                                                        .min_last = 1,
