@@ -54,6 +54,14 @@ for net in stage1 stage2 cascade; do
   "$opaline" bench memory --net "$net" --batch 2 4
   echo
 done
+"$opaline" bench skip --net stage2 --plot docs/images/skip.svg
+echo
+for net in normal sss; do
+  "$opaline" bench skip --net "$net"
+  echo
+done
+"$opaline" bench skip --net cascade --forward
+echo
 build/release/bench_ops --threads "$threads"
 echo
 "$opaline" bench layers --net normal --size 128 --plot docs/images/roofline.svg

@@ -150,6 +150,27 @@ done
 expect "$folder/error.txt" 'missing: model.1.bias (8)'
 
 # Memory: a row of each batch and way, but no training on a single vector.
+# Skipping: less work, less memory, fewer bytes; nothing is gained at 100 %.
+"$opaline" bench skip --net normal --size 64 --width 8 --batch 2 --repeats 1 --mask 0.05 1 --plot "$folder/skip.svg" > "$folder/skip.txt"
+expect "$folder/skip.txt" '| 100 % | 100.0 % |'
+"$opaline" bench skip --net stage1 --size 64 --width 8 --batch 2 --repeats 1 --mask 0.05 1 --json > "$folder/skip.json"
+"$opaline" bench step --net normal --size 64 --width 8 --repeats 1 --mask 0.05 --skip --json > "$folder/part.json"
+"$opaline" bench step --net normal --size 64 --width 8 --repeats 1 --json > "$folder/whole.json"
+python3 - "$folder" <<'PYTHON'
+import json, pathlib, sys
+import xml.etree.ElementTree
+folder = pathlib.Path(sys.argv[1])
+xml.etree.ElementTree.parse(folder / "skip.svg")
+part, whole = json.loads((folder / "skip.json").read_text())["rows"]
+assert part["tiles"] == 4 / 16 and whole["tiles"] == 1.0, (part, whole)  # a disc in the middle meets four tiles
+assert part["peak_beyond"] < part["dense_peak_beyond"] and part["moved"] < part["dense_moved"], part
+assert whole["moved"] > 0.95 * whole["dense_moved"], whole
+sizes = [json.loads((folder / name).read_text())["peak_bytes"] for name in ("part.json", "whole.json")]
+assert sizes[0] < sizes[1], sizes
+PYTHON
+if "$opaline" bench skip --net cascade >"$folder/skip.txt" 2>&1; then fail "bench skip trained a cascade"; fi
+expect "$folder/skip.txt" '--forward'
+
 "$opaline" bench memory --net stage1 --size 32 --width 8 --batch 1 2 > "$folder/memory.txt"
 expect "$folder/memory.txt" '^| 2 | training | [0-9.]* | [0-9.]* | [0-9.]* | [0-9.]* | [0-9.]* |'
 "$opaline" bench memory --net stage1 --size 32 --width 8 --batch 1 2 --json > "$folder/memory.json"
