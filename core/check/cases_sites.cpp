@@ -374,6 +374,8 @@ std::vector<OpCase> sites_cases() {
     cases.push_back(dense_case(pattern));
     cases.push_back(expand_case(pattern));
   }
+  // So tall that some of its rows are far from the border, and all of the result's pixels exist.
+  cases.push_back(conv_case("holes", "halving_tall", {1, 300, 8, 2}, 3, 3, {.stride = 2, .padding = 1}));
   cases.push_back(nearest_case());
   cases.push_back(chain_case());
   return cases;

@@ -57,8 +57,10 @@ int choose_algorithm(const ConvShape& s, ConvPass pass, Numerics numerics) {
   // The tiles' gradients of weights cancel too much for strict: up to 1e-6 on real activations.
   const int strictest = pass == ConvPass::kWeightGradient ? 0 : 2;
   const int largest = numerics == Numerics::kFast ? 6 : numerics == Numerics::kBalanced ? 4 : strictest;
+  // What saves a few microseconds is not worth a larger error.
+  constexpr double kWorthwhile = 2e6;
   int best = 0;
-  double least = direct_work(s, pass);
+  double least = direct_work(s, pass) - kWorthwhile;
   for (int outputs = 2; outputs <= largest; ++outputs) {
     if (!winograd_fits(s, outputs)) continue;
     const double work = winograd_work(s, pass, outputs);

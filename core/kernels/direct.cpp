@@ -60,7 +60,7 @@ class Correlation {
     const int64_t row = top_ + first * stride_, count = last - first;
     const int64_t rows = (count - 1) * stride_ + weights_.kernel_h;
     T* const y = y_.data + image * y_.image_stride + first * y_.row_stride;
-    if (begin_ < end_ && x_.contains(row, 0, rows, x_.w)) {
+    if (begin_ < end_ && x_.sites == nullptr && x_.contains(row, 0, rows, x_.w)) {
       multiply({.a = x_.pixel(image, row, left_ + begin_ * stride_),
                 .a_line = stride_ * x_.w * x_.channels,
                 .a_stride = stride_ * x_.channels,
