@@ -192,8 +192,9 @@ void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Source<T>>
     filters.fill(taps, p * filters.width, p, begin, std::min(filters.in, begin + kInputsPerUnit));
   });
   const int64_t out = filters.panels * filters.width, bytes = static_cast<int64_t>(sizeof(T));
-  const int64_t block = tiles_per_block(filters.frequencies * (filters.in + out) * bytes,
-                                        filters.frequencies * filters.frequency * bytes);
+  const int64_t block = std::min(tiles_per_block(filters.frequencies * (filters.in + out) * bytes,
+                                                 filters.frequencies * filters.frequency * bytes),
+                                 round_up(grid.count, 8));
   const Frequencies from = layout(block, filters.in, k.lanes, k.lanes);
   const Frequencies to = layout(block, out, filters.width, k.lanes);
   parallel_blocks(grid.count, block, [&](int64_t begin, int64_t end) {

@@ -156,12 +156,13 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
   // together.
   constexpr int64_t kSharedBlock = 256, kTilesPerUnit = 16;
   constexpr int64_t kPerFlush = 32;  // blocks summed in T before double takes over
-  const WeightSums<T> work(k, s, x, dy, sites, kSharedBlock);
-  const int64_t count = (work.grid().count + kSharedBlock - 1) / kSharedBlock;
+  const int64_t block = std::min(kSharedBlock, round_up(tile_count, kTilesPerUnit));
+  const WeightSums<T> work(k, s, x, dy, sites, block);
+  const int64_t count = (tile_count + block - 1) / block;
   const Scratch<T> a(work.a_size()), b(work.b_size()), sums(work.sums_size());
   const Scratch<double> total(count > kPerFlush ? work.sums_size() : 0);
   for (int64_t i = 0; i < count; ++i) {
-    const int64_t first = i * kSharedBlock, tiles = std::min(kSharedBlock, work.grid().count - first);
+    const int64_t first = i * block, tiles = std::min(block, tile_count - first);
     parallel_blocks(tiles, kTilesPerUnit, [&](int64_t begin, int64_t end) {
       work.transform(first + begin, end - begin, begin, a.data(), b.data());
     });
