@@ -151,11 +151,9 @@ void print_changes(const std::vector<Change>& changes) {
 }
 
 std::string plot(const std::vector<Row>& rows, const SkipArguments& arguments) {
-  ChartSeries time{
-      .name = "time", .colour = "#1f77b4", .points = {{0.0, 0.0}}, .markers = true, .line = false};
+  ChartSeries time{.name = "time", .colour = "#1f77b4", .points = {}, .markers = true, .line = false};
   ChartSeries memory{.name = "memory", .colour = "#d62728", .points = {}, .markers = true, .line = false};
   ChartSeries bytes{.name = "bytes moved", .colour = "#2ca02c", .points = {}, .markers = true, .line = false};
-  time.points.clear();
   for (const Row& row : rows) {
     time.points.push_back({row.share, row.seconds / row.dense});
     memory.points.push_back({row.share, static_cast<double>(row.peak) /
