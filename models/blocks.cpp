@@ -9,6 +9,9 @@
 namespace opaline {
 namespace {
 
+// The stem's steps after its convolution begin here.
+constexpr size_t kStemRest = 2;
+
 void add_norm_relu(Sequential& sequence, int64_t channels, DType dtype) {
   sequence.add<BatchNorm>(
       BatchNormConfig{.channels = channels, .scale = kBatchNorm2dScale, .relu = true, .dtype = dtype});
@@ -17,16 +20,20 @@ void add_norm_relu(Sequential& sequence, int64_t channels, DType dtype) {
 
 }  // namespace
 
-void add_conv7(Sequential& sequence, int64_t in, int64_t out, DType dtype) {
+Stem::Stem(Sequential& sequence, int64_t in, int64_t out, DType dtype) : sequence_(&sequence) {
   sequence.skip();  // the padding
-  sequence.add<Conv2d>(Conv2dConfig{.in = in,
-                                    .out = out,
-                                    .kernel = 7,
-                                    .padding = 3,
-                                    .padding_mode = Padding::kReflect,
-                                    .bias = false,
-                                    .dtype = dtype});
+  conv_ = &sequence.add<Conv2d>(Conv2dConfig{.in = in,
+                                             .out = out,
+                                             .kernel = 7,
+                                             .padding = 3,
+                                             .padding_mode = Padding::kReflect,
+                                             .bias = false,
+                                             .dtype = dtype});
   add_norm_relu(sequence, out, dtype);
+}
+
+Tensor Stem::forward(std::span<const Tensor> parts) const {
+  return sequence_->forward(conv_->forward(parts), kStemRest);
 }
 
 void add_halving_conv(Sequential& sequence, int64_t in, int64_t out, DType dtype) {

@@ -1,13 +1,26 @@
 // What the encoders share: convolution + BatchNorm + ReLU, and the way from feature maps to a vector.
 #pragma once
 
+#include <span>
+
 #include "nn/conv.h"
 #include "nn/sequential.h"
 
 namespace opaline {
 
-/// Appends [reflection padding 3, conv 7x7 without bias, BatchNorm, ReLU]: four indices.
-void add_conv7(Sequential& sequence, int64_t in, int64_t out, DType dtype);
+/// The first layers of an encoder: [reflection padding 3, conv 7x7 without bias, BatchNorm, ReLU], four
+/// indices. The input may come as images that are joined along their channels.
+class Stem {
+ public:
+  /// Appends them to a sequence that has no steps yet.
+  Stem(Sequential& sequence, int64_t in, int64_t out, DType dtype);
+  /// The whole sequence, whatever has been appended since.
+  Tensor forward(std::span<const Tensor> parts) const;
+
+ private:
+  const Sequential* sequence_;
+  const Conv2d* conv_;
+};
 
 /// Appends [conv 3x3 stride 2 padding 1 without bias, BatchNorm, ReLU]: three indices, half the size.
 void add_halving_conv(Sequential& sequence, int64_t in, int64_t out, DType dtype);

@@ -70,9 +70,7 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
   const auto selected = [&sites](const Tensor& x) { return sites ? select_sites(x, sites) : x; };
   const Tensor image = wanted.normal || wanted.depth || sss ? selected(input.image) : Tensor();
   const auto run = [&](std::string_view name, std::vector<Tensor> inputs) {
-    const auto forward = [&net = network(name)](std::span<const Tensor> parts) {
-      return net.forward(parts.size() == 1 ? parts.front() : concat({parts.begin(), parts.end()}));
-    };
+    const auto forward = [&net = network(name)](std::span<const Tensor> parts) { return net.forward(parts); };
     return options_.checkpoint ? checkpoint(name, forward, inputs) : forward(inputs);
   };
   CascadeOutput out;

@@ -5,7 +5,6 @@
 
 #include "core/ops/activation.h"
 #include "core/ops/shape.h"
-#include "models/blocks.h"
 
 namespace opaline {
 namespace {
@@ -20,9 +19,9 @@ int ceil_log2(int64_t value) {
 
 }  // namespace
 
-IlluminationEncoder::IlluminationEncoder(const IlluminationEncoderConfig& config) : config_(config) {
+IlluminationEncoder::IlluminationEncoder(const IlluminationEncoderConfig& config)
+    : config_(config), stem_(model_, config.in, config.width, config.dtype) {
   const int64_t w = config_.width;
-  add_conv7(model_, config_.in, w, config_.dtype);
   add_halving_conv(model_, w, 2 * w, config_.dtype);
   add_halving_conv(model_, 2 * w, 4 * w, config_.dtype);
   add_halving_conv(model_, 4 * w, 8 * w, config_.dtype);
@@ -30,10 +29,10 @@ IlluminationEncoder::IlluminationEncoder(const IlluminationEncoderConfig& config
                   {.in = 8 * w, .grid = config_.image_size / 8, .out = config_.out, .dtype = config_.dtype});
 }
 
-Tensor IlluminationEncoder::forward(const Tensor& x) {
-  if (x.sites()) fail("illumination", "needs whole images: its cue lies around the object");
-  check_image_input("illumination", x, config_.in);
-  return model_.forward(x);
+Tensor IlluminationEncoder::run(std::span<const Tensor> parts) {
+  if (parts.front().sites()) fail("illumination", "needs whole images: its cue lies around the object");
+  check_image_input("illumination", parts, config_.in);
+  return stem_.forward(parts);
 }
 
 IlluminationDecoder::IlluminationDecoder(const IlluminationDecoderConfig& config) : config_(config) {
@@ -55,7 +54,9 @@ IlluminationDecoder::IlluminationDecoder(const IlluminationDecoderConfig& config
   }
 }
 
-Tensor IlluminationDecoder::forward(const Tensor& x) {
+Tensor IlluminationDecoder::run(std::span<const Tensor> parts) {
+  const Tensor& x = parts.front();
+  if (parts.size() != 1) fail("illumination_decoder", "takes one input, not {} parts", parts.size());
   if (x.dim() != 2 || x.size(1) != config_.in) {
     fail("illumination_decoder", "input is {}, expected N x {}", to_string(x.shape()), config_.in);
   }

@@ -2,6 +2,7 @@
 // network).
 #pragma once
 
+#include "models/blocks.h"
 #include "models/network.h"
 #include "nn/linear.h"
 #include "nn/norm.h"
@@ -21,11 +22,13 @@ struct IlluminationEncoderConfig {
 class IlluminationEncoder : public Network {
  public:
   explicit IlluminationEncoder(const IlluminationEncoderConfig& config);
-  Tensor forward(const Tensor& x) override;
 
  private:
+  Tensor run(std::span<const Tensor> parts) override;
+
   IlluminationEncoderConfig config_;
   Sequential& model_ = add_child<Sequential>("model");
+  Stem stem_;
 };
 
 struct IlluminationDecoderConfig {
@@ -41,9 +44,10 @@ struct IlluminationDecoderConfig {
 class IlluminationDecoder : public Network {
  public:
   explicit IlluminationDecoder(const IlluminationDecoderConfig& config);
-  Tensor forward(const Tensor& x) override;
 
  private:
+  Tensor run(std::span<const Tensor> parts) override;
+
   IlluminationDecoderConfig config_;
   Sequential& model_ = add_child<Sequential>("model");
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <string>
+#include <vector>
 
 #include "core/ops/sites.h"
 #include "models/illumination.h"
@@ -45,11 +46,19 @@ int64_t sss_values(Variant variant) {
   return variant == Variant::kPaper ? 7 : 8;
 }
 
-void check_image_input(std::string_view network, const Tensor& x, int64_t channels) {
-  if ((x.dim() != 4 && !x.sites()) || x.size(-1) != channels) {
-    fail(network, "input is {}, expected N x H x W x {}", to_string(x.shape()), channels);
+void check_image_input(std::string_view network, std::span<const Tensor> parts, int64_t channels) {
+  int64_t sum = 0;
+  std::vector<std::string> shapes;
+  bool images = !parts.empty();
+  for (const Tensor& x : parts) {
+    images = images && (x.dim() == 4 || x.sites());
+    if (x.dim() > 0) sum += x.size(-1);
+    shapes.push_back(to_string(x.shape()));
   }
-  const ImageSize size = image_size(network, x);
+  if (!images || sum != channels) {
+    fail(network, "input is {}, expected N x H x W x {}", fmt::join(shapes, " and "), channels);
+  }
+  const ImageSize size = image_size(network, parts.front());
   for (const int64_t side : {size.h, size.w}) {
     if (side < 32 || side % 16 != 0) {
       fail(network, "images are {} x {}: both sides must be at least 32 and divisible by 16", size.h, size.w);

@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <string_view>
 
 #include "core/tensor.h"
@@ -36,11 +37,17 @@ class Network : public Module {
  public:
   /// Images are N x H x W x C, H and W divisible by 16 and at least 32; vectors are N x K. All but the
   /// illumination networks take the active sites of images too (core/active_sites.h) and give theirs.
-  virtual Tensor forward(const Tensor& x) = 0;
+  Tensor forward(const Tensor& x) { return run(std::span(&x, 1)); }
+  /// Of images joined along their channels: gradients are computed of those parts that want one.
+  Tensor forward(std::span<const Tensor> parts) { return run(parts); }
+
+ private:
+  virtual Tensor run(std::span<const Tensor> parts) = 0;
 };
 
-/// Throws Error, naming the network, unless x is such an image, or sites of one, of `channels` channels.
-void check_image_input(std::string_view network, const Tensor& x, int64_t channels);
+/// Throws Error, naming the network, unless these are such images, or sites of one, of `channels` channels in
+/// all.
+void check_image_input(std::string_view network, std::span<const Tensor> parts, int64_t channels);
 
 /// Makes a network with zero or constant weights; initialize_network() draws them. Throws UsageError on an
 /// unknown name and on sizes that the network cannot have.

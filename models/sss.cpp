@@ -1,7 +1,6 @@
 #include "models/sss.h"
 
 #include "core/ops/activation.h"
-#include "models/blocks.h"
 #include "nn/residual.h"
 
 namespace opaline {
@@ -11,10 +10,10 @@ constexpr int kResidualBlocks = 15;
 
 }  // namespace
 
-SssNetwork::SssNetwork(const SssConfig& config) : config_(config) {
+SssNetwork::SssNetwork(const SssConfig& config)
+    : config_(config), stem_(feature_encoder_.model, config.in, config.width, config.dtype) {
   const int64_t w = config_.width;
   Sequential& features = feature_encoder_.model;
-  add_conv7(features, config_.in, w, config_.dtype);
   add_halving_conv(features, w, 2 * w, config_.dtype);
   add_halving_conv(features, 2 * w, 4 * w, config_.dtype);
   for (int i = 0; i < kResidualBlocks; ++i) {
@@ -29,9 +28,9 @@ SssNetwork::SssNetwork(const SssConfig& config) : config_(config) {
   scatter.add_function([](const Tensor& x) { return tanh(x); });
 }
 
-Tensor SssNetwork::forward(const Tensor& x) {
-  check_image_input("sss", x, config_.in);
-  return scatter_encoder_.model.forward(feature_encoder_.model.forward(x));
+Tensor SssNetwork::run(std::span<const Tensor> parts) {
+  check_image_input("sss", parts, config_.in);
+  return scatter_encoder_.model.forward(stem_.forward(parts));
 }
 
 }  // namespace opaline

@@ -1,6 +1,7 @@
 // The ResNet that estimates subsurface scattering.
 #pragma once
 
+#include "models/blocks.h"
 #include "models/network.h"
 #include "nn/sequential.h"
 
@@ -19,9 +20,10 @@ struct SssConfig {
 class SssNetwork : public Network {
  public:
   explicit SssNetwork(const SssConfig& config);
-  Tensor forward(const Tensor& x) override;
 
  private:
+  Tensor run(std::span<const Tensor> parts) override;
+
   /// The two halves bear their names in the state dict, each around one `model`.
   class Half : public Module {
    public:
@@ -31,6 +33,7 @@ class SssNetwork : public Network {
   SssConfig config_;
   Half& feature_encoder_ = add_child<Half>("feature_encoder");
   Half& scatter_encoder_ = add_child<Half>("scatter_encoder");
+  Stem stem_;
 };
 
 }  // namespace opaline

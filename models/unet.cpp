@@ -82,9 +82,9 @@ DoubleConvConfig TransUnet::block(int64_t in, int64_t middle, int64_t out, Block
           .dtype = config_.dtype};
 }
 
-Tensor TransUnet::forward(const Tensor& x) {
-  check_image_input(config_.name, x, config_.in);
-  const Tensor x1 = inc_.forward(x);
+Tensor TransUnet::run(std::span<const Tensor> parts) {
+  check_image_input(config_.name, parts, config_.in);
+  const Tensor x1 = inc_.forward(parts);
   const Tensor x2 = down1_.forward(x1);
   const Tensor x3 = down2_.forward(x2);
   const Tensor x4 = down3_.forward(x3);

@@ -80,9 +80,9 @@ struct TransUnetConfig {
 class TransUnet : public Network {
  public:
   explicit TransUnet(const TransUnetConfig& config);
-  Tensor forward(const Tensor& x) override;
 
  private:
+  Tensor run(std::span<const Tensor> parts) override;
   DoubleConvConfig block(int64_t in, int64_t middle, int64_t out, BlockNorm norm) const;
 
   TransUnetConfig config_;

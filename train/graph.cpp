@@ -49,6 +49,14 @@ bool wants_gradient(const Tensor& input) {
 size_t first_factor(const Node& node) {
   return node.operation == "conv2d" ? node.inputs.size() - 2 : 1;
 }
+/// Channels of the first factor, or of those of its parts whose gradient is wanted.
+int64_t wanted_channels(const Node& node, bool wanted_alone) {
+  int64_t channels = 0;
+  for (size_t i = 0; i < first_factor(node); ++i) {
+    if (!wanted_alone || wants_gradient(node.inputs[i])) channels += node.inputs[i].size(-1);
+  }
+  return channels;
+}
 bool wants_first_factor(const Node& node) {
   const auto begin = node.inputs.begin();
   return std::any_of(begin, begin + static_cast<std::ptrdiff_t>(first_factor(node)), wants_gradient);
@@ -128,8 +136,8 @@ WorkCount count_work(const Tensor& root) {
     const int64_t work = operation_work(*node, tensor);
     if (work == 0) continue;
     count.forward += work;
-    // Each of the two factors costs as much again, if its gradient is wanted.
-    if (wants_first_factor(*node)) count.backward += work;
+    // Each of the two factors costs as much again, so far as its gradient is wanted.
+    count.backward += work * wanted_channels(*node, true) / wanted_channels(*node, false);
     if (wants_gradient(node->inputs[first_factor(*node)])) count.backward += work;
   }
   return count;

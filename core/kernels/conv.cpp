@@ -1,6 +1,7 @@
 #include "core/kernels/conv.h"
 
 #include <algorithm>
+#include <vector>
 
 #include "core/kernels/direct.h"
 #include "core/kernels/scratch.h"
@@ -41,6 +42,39 @@ class Joined {
   const T* data_;
 };
 
+/// The convolution of those input channels alone whose parts have data.
+template <class T>
+struct WantedChannels {
+  WantedChannels(const ConvShape& s, const T* all_weights, const T* all_bias, Parts<T> dx) : shape(s) {
+    shape.in = 0;
+    for (const Part<T>& part : dx) {
+      if (part.data == nullptr) continue;
+      parts.push_back(part);
+      shape.in += part.channels;
+    }
+    const int64_t taps = s.kernel_h * s.kernel_w;
+    weight.resize(static_cast<size_t>(s.out * shape.in * taps));
+    T* to = weight.data();
+    for (int64_t out = 0; out < s.out; ++out) {
+      const T* from = all_weights + out * s.in * taps;
+      for (const Part<T>& part : dx) {
+        if (part.data != nullptr) to = std::copy_n(from, part.channels * taps, to);
+        from += part.channels * taps;
+      }
+    }
+    if (all_bias == nullptr) return;
+    for (const Part<T>& part : dx) {
+      if (part.data != nullptr) bias.insert(bias.end(), all_bias, all_bias + part.channels);
+      all_bias += part.channels;
+    }
+  }
+  const T* bias_data() const { return bias.empty() ? nullptr : bias.data(); }
+
+  ConvShape shape;
+  std::vector<Part<T>> parts;
+  std::vector<T> weight, bias;
+};
+
 int64_t input_pixels(const ConvShape& s, const ConvSites& sites) {
   return sites.x == nullptr ? s.n * s.h * s.w : sites.x->count();
 }
@@ -78,6 +112,13 @@ void conv_forward(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T*
 template <class T>
 void conv_input_gradient(const ConvShape& s, ConvPlan& plan, const T* dy, const T* weight, const T* bias,
                          Parts<T> dx, const ConvSites& sites) {
+  const auto is_wanted = [](const Part<T>& part) { return part.data != nullptr; };
+  if (!std::all_of(dx.begin(), dx.end(), is_wanted)) {
+    const WantedChannels<T> wanted(s, weight, bias, dx);
+    if (wanted.parts.empty()) return;
+    return conv_input_gradient(wanted.shape, plan, dy, wanted.weight.data(), wanted.bias_data(),
+                               Parts<T>(wanted.parts), sites);
+  }
   const int outputs = plan.outputs(s, ConvPass::kInputGradient);
   if (outputs > 0 && !s.reflect && winograd_takes(dx)) {
     return winograd_input_gradient(outputs, s, dy, weight, bias, dx, sites);
@@ -111,9 +152,7 @@ void conv_input_gradient(const ConvShape& s, ConvPlan& plan, const T* dy, const 
   run_folded(whole.data());
   int64_t first = 0;
   for (const Part<T>& part : dx) {
-    if (part.data != nullptr) {
-      Joined<T>::copy_channels(whole.data() + first, s.in, part.data, part.channels, part.channels, pixels);
-    }
+    Joined<T>::copy_channels(whole.data() + first, s.in, part.data, part.channels, part.channels, pixels);
     first += part.channels;
   }
 }

@@ -16,7 +16,7 @@ void conv_forward(const ConvShape& s, ConvPlan& plan, Parts<const T> x, const T*
                   const ConvSites& sites = {});
 
 /// dx = gradient of conv's input from dy; `bias` (of dx's channels, or null) is added: conv_transpose2d's.
-/// Parts without data are not wanted.
+/// Parts without data are not wanted, and not computed.
 template <class T>
 void conv_input_gradient(const ConvShape& s, ConvPlan& plan, const T* dy, const T* weight, const T* bias,
                          Parts<T> dx, const ConvSites& sites = {});

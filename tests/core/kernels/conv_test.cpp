@@ -1,5 +1,6 @@
 #include "core/kernels/conv.h"
 
+#include <algorithm>
 #include <catch2/catch.hpp>
 #include <cmath>
 #include <cstring>
@@ -167,6 +168,53 @@ TEST_CASE("convolutions have the same bits for any number of threads") {
         CHECK(same(one.y, more.y));
         CHECK(same(one.dx, more.dx));
         CHECK(same(one.dweight, more.dweight));
+      }
+    }
+  }
+}
+
+TEST_CASE("the gradient of some of an input's parts is their share of the whole one") {
+  const std::vector<int64_t> channels = {4, 5, 3};
+  for (const bool reflect : {false, true}) {
+    const ConvShape s{.n = 2,
+                      .h = 6,
+                      .w = 7,
+                      .in = 12,
+                      .out = 10,
+                      .kernel_h = 3,
+                      .kernel_w = 3,
+                      .padding = 1,
+                      .reflect = reflect};
+    const int64_t pixels = s.n * s.h * s.w;
+    const auto weight = numbers<double>(s.out * s.in * 9, 2);
+    const auto dy = numbers<double>(s.n * s.out_h() * s.out_w() * s.out, 3);
+    const auto bias = numbers<double>(s.in, 4);
+    ConvPlan plan(Numerics::kBalanced);
+    std::vector<double> all(static_cast<size_t>(pixels * s.in));
+    const Part<double> whole{all.data(), s.in};
+    conv_input_gradient<double>(s, plan, dy.data(), weight.data(), bias.data(), {&whole, 1});
+    // Every subset of the parts, the empty one too.
+    for (unsigned subset = 0; subset < 8; ++subset) {
+      std::vector<std::vector<double>> gradients;
+      std::vector<Part<double>> parts;
+      for (size_t i = 0; i < channels.size(); ++i) {
+        gradients.emplace_back(static_cast<size_t>(pixels * channels[i]));
+        parts.push_back({(subset >> i & 1U) != 0 ? gradients[i].data() : nullptr, channels[i]});
+      }
+      conv_input_gradient<double>(s, plan, dy.data(), weight.data(), bias.data(), parts);
+      INFO("subset " << subset << ", mirrored " << reflect);
+      int64_t first = 0;
+      for (size_t i = 0; i < channels.size(); ++i) {
+        double worst = 0.0;
+        for (int64_t pixel = 0; pixel < pixels && parts[i].data != nullptr; ++pixel) {
+          for (int64_t c = 0; c < channels[i]; ++c) {
+            const double expected = all[static_cast<size_t>(pixel * s.in + first + c)];
+            worst = std::max(worst,
+                             std::abs(gradients[i][static_cast<size_t>(pixel * channels[i] + c)] - expected));
+          }
+        }
+        CHECK(worst < 1e-12);
+        first += channels[i];
       }
     }
   }
