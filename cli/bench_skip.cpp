@@ -29,6 +29,7 @@ namespace {
 struct SkipArguments {
   Workload workload{.net = "stage2", .batch = 2};
   std::vector<std::string> masks{"0.05", "0.1", "0.2", "0.27", "0.4", "0.6", "0.8", "1"};
+  int64_t illumination_downscale = 1;  ///< where something is skipped
   int64_t repeats = 3;
   Numerics numerics = Numerics::kBalanced;
   bool forward_only = false;
@@ -92,6 +93,7 @@ Row measure(const SkipArguments& arguments, const std::string& mask) {
                                                          : fmt::format("{:g} %", 100.0 * std::stod(mask))};
   Way dense(workload, arguments.forward_only);
   workload.skip = true;
+  workload.illumination_downscale = arguments.illumination_downscale;
   Way skipping(workload, arguments.forward_only);
   tensor_pool().release_cached();
   dense.count();
@@ -251,6 +253,12 @@ void add_bench_skip(CLI::App& bench) {
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   command->add_option("--width", arguments->workload.width, "Channels of the first layer")
+      ->capture_default_str();
+  command
+      ->add_option("--illumination-downscale", arguments->illumination_downscale,
+                   "Where something is skipped, let the illumination network see images of this fraction "
+                   "of the side")
+      ->check(CLI::PositiveNumber)
       ->capture_default_str();
   command->add_option("--repeats", arguments->repeats, "Turns")
       ->check(CLI::PositiveNumber)

@@ -106,7 +106,8 @@ class StageStep : public Step {
                   .stage = workload.net == "stage1" ? 1 : 2,
                   .reconstruction = workload.net == "stage2",
                   .checkpoint = workload.checkpoint,
-                  .skip = workload.skip ? Skip::kSupport : Skip::kNone}) {
+                  .skip = workload.skip ? Skip::kSupport : Skip::kNone,
+                  .illumination_downscale = workload.illumination_downscale}) {
     cascade_.initialize(1);
     const Variant variant = cascade_.options().network.variant;
     const int64_t b = workload.batch;

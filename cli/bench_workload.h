@@ -33,13 +33,14 @@ class RelativeError {
 Shape input_shape(std::string_view net, int64_t batch, int64_t size);
 
 struct Workload {
-  std::string net;          ///< one of workload_names()
-  int64_t size = 256;       ///< of the images, and the build size
-  int64_t batch = 1;        ///< images
-  int64_t width = 64;       ///< channels of the first layer
-  std::string mask = {};    ///< the object: a PNG file or a share of the pixels; empty: all of them
-  bool skip = false;        ///< compute on the tiles that touch the mask alone
-  bool checkpoint = false;  ///< of a stage: activation checkpointing
+  std::string net;        ///< one of workload_names()
+  int64_t size = 256;     ///< of the images, and the build size
+  int64_t batch = 1;      ///< images
+  int64_t width = 64;     ///< channels of the first layer
+  std::string mask = {};  ///< the object: a PNG file or a share of the pixels; empty: all of them
+  bool skip = false;      ///< compute on the tiles that touch the mask alone
+  int64_t illumination_downscale = 1;  ///< of a stage: of the images that the illumination network sees
+  bool checkpoint = false;             ///< of a stage: activation checkpointing
 };
 
 /// The networks; "stage1" and "stage2", the networks of a stage with its losses; "cascade", what prediction

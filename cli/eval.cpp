@@ -16,6 +16,7 @@ namespace fs = std::filesystem;
 
 struct EvalArguments {
   fs::path run, data, json;
+  std::vector<std::string> only;
   int64_t max_scenes = 0;
   bool sensor = false;
 };
@@ -36,7 +37,8 @@ void run_eval(const EvalArguments& arguments) {
   const std::shared_ptr<const Dataset> dataset = open_dataset(arguments.data);
   if (dataset->size(Split::kTest) == 0) fail(arguments.data.string(), "has no test scenes");
   const MeanPredictor mean = training_mean(*dataset, config);
-  EvaluateOptions options{.max_scenes = arguments.max_scenes,
+  EvaluateOptions options{.columns = parse_columns(arguments.only),
+                          .max_scenes = arguments.max_scenes,
                           .threads = static_cast<int>(config.data.threads),
                           .damaged = config.data.damaged,
                           .warn = warn};
@@ -81,6 +83,12 @@ void add_eval(CLI::App& app, Outcome&) {
   command->add_option("--data", arguments->data, "Data set")->required();
   command->add_option("--json", arguments->json,
                       "Also write the numbers to this file; - for standard output");
+  command
+      ->add_option("--only", arguments->only,
+                   fmt::format("Columns of these alone, and no network that they do not need: {}",
+                               fmt::join(kColumnNames, ", ")))
+      ->delimiter(',')
+      ->check(CLI::IsMember(std::vector<std::string>(kColumnNames.begin(), kColumnNames.end())));
   command->add_option("--max-scenes", arguments->max_scenes, "Measure the first so many; 0: all")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();

@@ -1,6 +1,7 @@
 #include "models/cascade.h"
 
 #include "core/autograd.h"
+#include "core/ops/pool.h"
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
 #include "core/ops/sites.h"
@@ -48,6 +49,9 @@ Cascade::Cascade(const CascadeOptions& options) : options_(options) {
   if (options_.stage != 1 && options_.stage != 2) {
     fail_usage("cascade", "stage {} is neither 1 nor 2", options_.stage);
   }
+  if (options_.illumination_downscale < 1) {
+    fail_usage("cascade", "illumination_downscale {} must be at least 1", options_.illumination_downscale);
+  }
   for (const std::string_view name : kNetworkNames) {
     if (belongs(name, options_)) networks_.emplace(name, make_network(name, options_.network));
   }
@@ -76,7 +80,12 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
   CascadeOutput out;
   if (wanted.normal || sss) out.normal = run("normal", {image});
   if (wanted.depth || sss) out.depth = run("depth", {image});
-  if (wanted.illumination || sss) out.illumination = run("illumination", {input.image});
+  if (wanted.illumination || sss) {
+    const int64_t side = options_.illumination_downscale;
+    out.illumination =
+        run("illumination",
+            {side == 1 ? input.image : adaptive_avg_pool2d(input.image, height / side, width / side)});
+  }
   if (!sss) return out;
 
   const Tensor map = run("illumination_decoder", {out.illumination});

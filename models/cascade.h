@@ -30,6 +30,9 @@ struct CascadeOptions {
   bool checkpoint = false;  ///< in the backward pass, compute each network once more instead of keeping all
   Skip skip = Skip::kNone;
   int64_t dilation = 0;  ///< tiles around the mask's that are computed too
+  /// The illumination network sees the image averaged over squares of so many pixels a side; its light of
+  /// nine coefficients a colour is smooth. What is left must be an image that networks take.
+  int64_t illumination_downscale = 1;
 };
 
 /// Which results to compute; those that they need are computed (and given) too.

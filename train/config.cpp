@@ -92,7 +92,25 @@ ModelConfig read_model(const TomlTable& table) {
   model.reconstruction = table.boolean("reconstruction", true);
   model.skip = parse_skip(table.choice("skip", to_string(model.skip), kSkips)).value_or(model.skip);
   model.skip_dilation = table.integer("skip_dilation", model.skip_dilation, {.min = 0, .max = 256});
+  model.illumination_downscale =
+      table.integer("illumination_downscale", model.illumination_downscale, {.min = 1, .max = 8});
+  const int64_t smaller = model.image_size / model.illumination_downscale;
+  if (model.image_size % model.illumination_downscale != 0 || smaller % 16 != 0 || smaller < 32) {
+    table.error("illumination_downscale",
+                fmt::format("{} of image_size {} leaves no image of a multiple of 16 pixels, at least 32",
+                            model.illumination_downscale, model.image_size));
+  }
   return model;
+}
+
+EvaluateColumns read_columns(const TomlTable& table) {
+  const std::vector<std::string> names = table.texts("eval_columns", {});
+  for (const std::string& name : names) {
+    if (std::ranges::find(kColumnNames, name) != kColumnNames.end()) continue;
+    table.error("eval_columns", fmt::format("\"{}\" is none of {}", name, fmt::join(kColumnNames, ", ")));
+    return {};
+  }
+  return parse_columns(names);
 }
 
 TrainConfig read_train(const TomlTable& table, Variant variant, std::vector<std::string>& warnings) {
@@ -130,6 +148,7 @@ TrainConfig read_train(const TomlTable& table, Variant variant, std::vector<std:
   train.checkpoint_every = table.integer("checkpoint_every", train.checkpoint_every, {.min = 0});
   train.keep = table.integer("keep", train.keep, {.min = 1});
   train.eval_scenes = table.integer("eval_scenes", train.eval_scenes, {.min = 0});
+  train.eval_columns = read_columns(table);
   train.threads = table.integer("threads", train.threads, {.min = 0, .max = 4096});
   return train;
 }
@@ -240,7 +259,8 @@ CascadeOptions cascade_options(const RunConfig& config, int stage) {
           .reconstruction = config.model.reconstruction && config.loss.reconstruction.weight > 0.0,
           .checkpoint = config.train.activation_checkpointing,
           .skip = config.model.skip,
-          .dilation = config.model.skip_dilation};
+          .dilation = config.model.skip_dilation,
+          .illumination_downscale = config.model.illumination_downscale};
 }
 
 AdamOptions adam_options(const RunConfig& config, int stage) {

@@ -23,6 +23,7 @@
 #include "data/sensor.h"
 #include "models/cascade.h"
 #include "nn/optim.h"
+#include "train/evaluate.h"
 #include "train/losses.h"
 
 namespace opaline {
@@ -43,8 +44,9 @@ struct ModelConfig {
   int64_t width = 64;
   EncodeOptions encode = EncodeOptions::paper();  ///< the variant's, with the inputs of the config
   bool reconstruction = true;
-  Skip skip = Skip::kNone;    ///< where the image networks compute (models/cascade.h)
-  int64_t skip_dilation = 0;  ///< tiles around the mask's that are computed too
+  Skip skip = Skip::kNone;             ///< where the image networks compute (models/cascade.h)
+  int64_t skip_dilation = 0;           ///< tiles around the mask's that are computed too
+  int64_t illumination_downscale = 1;  ///< of the images that the illumination network sees
 };
 
 /// How the learning rate falls (nn/schedule.h); each stage has its own.
@@ -71,6 +73,7 @@ struct TrainConfig {
   int64_t checkpoint_every = 0;  ///< steps, besides every epoch's end; 0: none
   int64_t keep = 2;              ///< newest checkpoints kept
   int64_t eval_scenes = 32;      ///< test scenes measured after every epoch; 0: none
+  EvaluateColumns eval_columns;  ///< what is measured of them
   int64_t threads = 0;           ///< of the computation; 0: all cores
 };
 

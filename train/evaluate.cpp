@@ -107,6 +107,23 @@ nlohmann::ordered_json arrange(const Value& value) {
 
 }  // namespace
 
+EvaluateColumns parse_columns(std::span<const std::string> names) {
+  if (names.empty()) return {};
+  EvaluateColumns columns{.normal = false, .depth = false, .sss = false};
+  for (const std::string& name : names) {
+    if (name == "normal") {
+      columns.normal = true;
+    } else if (name == "depth") {
+      columns.depth = true;
+    } else if (name == "sss") {
+      columns.sss = true;
+    } else {
+      fail_usage("evaluate", "there are no columns '{}'; there are {}", name, fmt::join(kColumnNames, ", "));
+    }
+  }
+  return columns;
+}
+
 MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes, DamagePolicy damaged) {
   const int64_t all = dataset.size(Split::kTrain);
   const std::string where = dataset.facts().root.string();
@@ -166,14 +183,16 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
                           .wanted = {.targets = true, .reconstruction = false}});
   const NoGradGuard no_grad;
   cascade.set_training(false);
-  const bool sss = cascade.options().stage == 2;
+  const EvaluateColumns& columns = options.columns;
+  const bool sss = columns.sss && cascade.options().stage == 2;
   std::vector<SceneResult> results;
   while (const std::optional<Batch> batch = loader.next()) {
     if (!batch->normal.defined() || !batch->depth.defined()) {
       fail("evaluate", "scene {} has no ground truth of normal and depth", batch->ids.front());
     }
-    const CascadeOutput out = whole(cascade.forward({.image = batch->input, .bsdf = {}, .mask = batch->mask},
-                                                    {.illumination = false, .sss = sss}));
+    const CascadeOutput out = whole(cascade.forward(
+        {.image = batch->input, .bsdf = {}, .mask = batch->mask},
+        {.normal = columns.normal, .depth = columns.depth, .illumination = false, .sss = sss}));
     std::set<int64_t> left_out;  // a stand-in is another test scene: it must not count twice
     for (const ReplacedScene& scene : batch->replaced) {
       left_out.insert(scene.sample);
@@ -184,8 +203,9 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
       const SceneValues truth{.normal = image_of(batch->normal, n),
                               .depth = image_of(batch->depth, n),
                               .sss = sss_of(batch->sss, n)};
-      const SceneValues estimate{
-          .normal = image_of(out.normal, n), .depth = image_of(out.depth, n), .sss = sss_of(out.sss, n)};
+      SceneValues estimate{.normal = {}, .depth = {}, .sss = sss_of(out.sss, n)};
+      if (columns.normal) estimate.normal = image_of(out.normal, n);
+      if (columns.depth) estimate.depth = image_of(out.depth, n);
       const std::span<const float> mask = image_of(batch->mask, n);
       SceneResult result;
       result.id = batch->ids[static_cast<size_t>(n)];
@@ -198,7 +218,11 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
           fail("evaluate", "scene {} has {} pixels, the training scenes {} x {}: the mean map does not fit",
                result.id, mask.size(), mean->width, mean->height);
         }
-        result.mean = measure(values_of(*mean), truth, mask);
+        SceneValues values = values_of(*mean);
+        if (!columns.normal) values.normal = {};
+        if (!columns.depth) values.depth = {};
+        if (!columns.sss) values.sss.reset();
+        result.mean = measure(values, truth, mask);
       }
       results.push_back(std::move(result));
     }

@@ -1,10 +1,12 @@
 // A cascade's errors over a data set, beside those of predicting the training mean.
 #pragma once
 
+#include <array>
 #include <functional>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -33,7 +35,18 @@ struct MeanPredictor {
 MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes = 4000,
                                  DamagePolicy damaged = DamagePolicy::kFail);
 
+/// Groups of columns: what is not asked for is not computed, unless another network needs it.
+struct EvaluateColumns {
+  bool normal = true;  ///< normal, angular_degrees
+  bool depth = true;   ///< depth, depth_aligned
+  bool sss = true;     ///< sigma_t, albedo, g; of a stage-2 cascade
+};
+inline constexpr std::array<std::string_view, 3> kColumnNames = {"normal", "depth", "sss"};
+/// From such names; none means all. Throws UsageError on another name.
+EvaluateColumns parse_columns(std::span<const std::string> names);
+
 struct EvaluateOptions {
+  EvaluateColumns columns = {};
   Split split = Split::kTest;
   int64_t max_scenes = 0;  ///< the first so many; 0: all
   int64_t batch = 8;
@@ -54,7 +67,8 @@ struct SceneResult {
 };
 
 /// Runs the cascade in evaluation mode over the split and measures every scene; it stays in that mode. `mean`
-/// may be null. Throws Error naming the scene where truth is missing or an output is not finite.
+/// may be null. Columns that are not asked for are absent. Throws Error naming the scene where truth is
+/// missing or an output is not finite.
 std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const Dataset>& dataset,
                                   const EncodeOptions& encode, const MeanPredictor* mean,
                                   const EvaluateOptions& options = {});

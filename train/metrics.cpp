@@ -108,10 +108,14 @@ double depth_error_aligned(std::span<const float> estimate, std::span<const floa
 Metrics measure(const SceneValues& estimate, const SceneValues& truth, std::span<const float> mask) {
   const auto at = [](Metric metric) { return static_cast<size_t>(metric); };
   Metrics result;
-  result[at(Metric::kNormal)] = normal_error(estimate.normal, truth.normal, mask);
-  result[at(Metric::kDepth)] = depth_error_min_max(estimate.depth, truth.depth, mask);
-  result[at(Metric::kAngularDegrees)] = mean_angle_degrees(estimate.normal, truth.normal, mask);
-  result[at(Metric::kDepthAligned)] = depth_error_aligned(estimate.depth, truth.depth, mask);
+  if (!estimate.normal.empty()) {
+    result[at(Metric::kNormal)] = normal_error(estimate.normal, truth.normal, mask);
+    result[at(Metric::kAngularDegrees)] = mean_angle_degrees(estimate.normal, truth.normal, mask);
+  }
+  if (!estimate.depth.empty()) {
+    result[at(Metric::kDepth)] = depth_error_min_max(estimate.depth, truth.depth, mask);
+    result[at(Metric::kDepthAligned)] = depth_error_aligned(estimate.depth, truth.depth, mask);
+  }
   if (estimate.sss && truth.sss) {
     result[at(Metric::kSigmaT)] = mean_absolute(estimate.sss->sigma_t, truth.sss->sigma_t) / kSigmaTUnit;
     result[at(Metric::kAlbedo)] = mean_absolute(estimate.sss->albedo, truth.sss->albedo);

@@ -17,7 +17,8 @@
 
 namespace opaline {
 
-/// One scene's maps, row-major. Neither the normal nor the depth need any particular scale.
+/// One scene's maps, row-major. Neither the normal nor the depth need any particular scale. What is empty is
+/// not measured.
 struct SceneValues {
   std::span<const float> normal;  ///< H x W x 3
   std::span<const float> depth;   ///< H x W
@@ -31,7 +32,7 @@ inline constexpr std::array<std::string_view, kMetricCount> kMetricNames = {
 /// The first five are the columns of the paper's table.
 inline constexpr int kReleaseMetricCount = 5;
 
-/// Metrics of one scene, or their means; absent where there is nothing to measure: no SSS estimate.
+/// Metrics of one scene, or their means; absent where there is nothing to measure: no such estimate.
 using Metrics = std::array<std::optional<double>, kMetricCount>;
 
 /// Mean over mask pixels and channels of |a - b| / 2: both mapped from [-1, 1] to [0, 1]. Empty mask: 0.

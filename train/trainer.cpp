@@ -381,7 +381,8 @@ void Trainer::end_epoch() {
                                  stage_config().epochs, losses.at("total").get<double>());
   if (config_.train.eval_scenes > 0 && dataset_->size(Split::kTest) > 0) {
     const auto results = evaluate(stage_->cascade(), dataset_, config_.model.encode, nullptr,
-                                  {.max_scenes = config_.train.eval_scenes,
+                                  {.columns = config_.train.eval_columns,
+                                   .max_scenes = config_.train.eval_scenes,
                                    .threads = static_cast<int>(config_.data.threads),
                                    .damaged = config_.data.damaged});
     stage_->set_training();
@@ -393,8 +394,9 @@ void Trainer::end_epoch() {
                                        {"n", summary.n}};
     measured.update(to_json(summary.cascade));
     log_->append(std::move(measured));
-    line += fmt::format(", test angle {:.2f} degrees",
-                        summary.cascade[static_cast<size_t>(Metric::kAngularDegrees)].value_or(0.0));
+    if (const auto& angle = summary.cascade[static_cast<size_t>(Metric::kAngularDegrees)]) {
+      line += fmt::format(", test angle {:.2f} degrees", *angle);
+    }
   }
   progress_.note(line);
   ++state_.epoch;

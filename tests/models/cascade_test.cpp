@@ -5,6 +5,7 @@
 
 #include "core/autograd.h"
 #include "core/ops/arithmetic.h"
+#include "core/ops/pool.h"
 #include "core/ops/reduce.h"
 #include "core/ops/resize.h"
 #include "core/ops/shape.h"
@@ -89,6 +90,22 @@ TEST_CASE("stage 2 joins the networks in the reference's channel order") {
   input.bsdf = {};
   CHECK_THROWS_WITH(cascade.forward(input), Contains("pure-BSDF"));
   CHECK(cascade.forward(input, {}).sss.defined());
+}
+
+TEST_CASE("the illumination network may see a smaller picture") {
+  CascadeOptions options = kSmall;
+  options.illumination_downscale = 2;
+  Cascade cascade(options);
+  cascade.initialize(3);
+  cascade.set_training(false);
+  const NoGradGuard no_grad;
+  const CascadeInput input = small_input(64);
+  const CascadeOutput out = cascade.forward(input);
+  const Tensor smaller = adaptive_avg_pool2d(input.image, 32, 32);
+  CHECK(equal(out.illumination, cascade.network("illumination").forward(smaller)));
+  CHECK(out.sss.shape() == Shape{kBatch, 7});
+  options.illumination_downscale = 0;
+  CHECK_THROWS_WITH(Cascade(options), Contains("illumination_downscale"));
 }
 
 TEST_CASE("the loss of the last network reaches every parameter of all") {

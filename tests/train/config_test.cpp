@@ -161,6 +161,25 @@ TEST_CASE("what the networks skip is a model's own") {
   CHECK_THAT(error_of("[model]\nskip = 'mask'\n"), Contains("support"));
 }
 
+TEST_CASE("columns of the evaluation are chosen by name") {
+  CHECK(parse_run_config("", "test.toml").train.eval_columns.sss);
+  const RunConfig config = parse_run_config("[train]\neval_columns = ['normal']\n", "test.toml");
+  CHECK(config.train.eval_columns.normal);
+  CHECK_FALSE(config.train.eval_columns.depth);
+  CHECK_FALSE(config.train.eval_columns.sss);
+  CHECK_THAT(error_of("[train]\neval_columns = ['g']\n"), Contains("eval_columns") && Contains("sss"));
+}
+
+TEST_CASE("the illumination's images must remain images that networks take") {
+  const RunConfig config =
+      parse_run_config("[model]\nimage_size = 64\nillumination_downscale = 2\n", "test.toml");
+  CHECK(cascade_options(config, 2).illumination_downscale == 2);
+  for (const char* value : {"3", "4", "0"}) {
+    CHECK_THAT(error_of(fmt::format("[model]\nimage_size = 64\nillumination_downscale = {}\n", value)),
+               Contains("illumination_downscale"));
+  }
+}
+
 TEST_CASE("a small micro-batch is a warning") {
   const RunConfig config = parse_run_config("[train]\nbatch = 8\nmicro_batch = 4\n", "test.toml");
   REQUIRE(config.warnings.size() == 1);

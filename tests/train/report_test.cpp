@@ -143,6 +143,38 @@ TEST_CASE("evaluation does not depend on the batch, and its JSON has the contrac
   CHECK_THAT(format_table(summarize(one)), Contains("training mean") && Contains("5 scenes"));
 }
 
+TEST_CASE("columns that were not asked for are neither measured nor computed") {
+  const auto dataset =
+      std::make_shared<test::SyntheticDataset>(test::SyntheticOptions{.train = 2, .test = 3});
+  const MeanPredictor mean = fit_mean_predictor(*dataset);
+  Cascade cascade(
+      {.network = {.variant = Variant::kPaper, .input_channels = 19, .image_size = 32, .width = 4},
+       .stage = 2,
+       .reconstruction = false});
+  cascade.initialize(1);
+  const EvaluationSummary all = summarize(evaluate(cascade, dataset, EncodeOptions::paper(), &mean));
+  // Networks that must not run would give numbers that are none, and end the evaluation.
+  for (const char* name : {"depth", "illumination", "illumination_decoder", "sss"}) {
+    for (const NamedTensor& parameter : cascade.network(name).named_parameters()) {
+      Tensor values = parameter.tensor;
+      values.fill(std::numeric_limits<double>::quiet_NaN());
+    }
+  }
+  CHECK_THROWS_AS(evaluate(cascade, dataset, EncodeOptions::paper(), &mean), Error);
+  const std::vector<std::string> names = {"normal"};
+  const EvaluationSummary normal =
+      summarize(evaluate(cascade, dataset, EncodeOptions::paper(), &mean, {.columns = parse_columns(names)}));
+  for (size_t m = 0; m < kMetricCount; ++m) {
+    const bool asked = kMetricNames[m] == "normal" || kMetricNames[m] == "angular_degrees";
+    INFO(kMetricNames[m]);
+    CHECK(normal.cascade[m] == (asked ? all.cascade[m] : std::nullopt));
+    CHECK(normal.mean_predictor[m] == (asked ? all.mean_predictor[m] : std::nullopt));
+  }
+  CHECK(to_json(normal).at("depth_aligned").is_null());
+  const std::vector<std::string> wrong = {"albedo"};
+  CHECK_THROWS_WITH(parse_columns(wrong), Contains("albedo") && Contains("sss"));
+}
+
 TEST_CASE("evaluation on sensor images is another, the same every time; damaged scenes may be left out") {
   const auto dataset =
       std::make_shared<test::SyntheticDataset>(test::SyntheticOptions{.train = 4, .test = 4, .damaged = 2});
