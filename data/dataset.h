@@ -22,8 +22,11 @@ struct LoadOptions {
   bool bsdf = true;   ///< pure-BSDF images (reconstruction alone needs them)
   bool truth = true;  ///< normal and depth (the mask always comes)
   /// The light of every pixel; else a reader may leave out what is outside the object's box grown by a pixel
-  /// (Scene::window says what it did). With `bsdf` the whole always comes.
+  /// (Scene::window says what it did). With `bsdf` the whole comes, or what `support` says.
   bool whole = true;
+  /// A reader may leave out `bsdf`, `normal` and `depth` outside the box of the tiles that touch the mask and
+  /// of so many tiles around them (support_of), grown by a pixel (Scene::object says what it did).
+  std::optional<int64_t> support = {};
 };
 
 struct DatasetFacts {

@@ -59,10 +59,13 @@ int64_t sss_values(const EncodeOptions& options);
 struct EncodeWanted {
   bool targets = true;         ///< normal, depth, illumination, sss
   bool reconstruction = true;  ///< bsdf and polarised
+  /// Of a batch: all images but the input as active sites, of the tiles that touch the mask and so many tiles
+  /// around them (support_of).
+  std::optional<int64_t> support = {};
 };
 
 /// Whether light outside the object is looked at: the masked inputs (pol4, maxmin, mask) need none, the
-/// reconstruction's pure-BSDF images are not masked.
+/// reconstruction's pure-BSDF images are not masked, but their support may be enough.
 bool needs_whole_image(const EncodeOptions& options, const EncodeWanted& wanted);
 
 /// One scene as the networks take it; float32, channels last.
@@ -85,7 +88,8 @@ struct ReplacedScene {
   std::string what;  ///< the reader's message
 };
 
-/// Samples stacked: every tensor has a leading N; undefined where a sample's is.
+/// Samples stacked: every tensor has a leading N; undefined where a sample's is. With EncodeWanted::support
+/// normal, depth, mask, bsdf and polarised hold active sites.
 struct Batch {
   std::vector<std::string> ids;
   Tensor input;
@@ -121,10 +125,16 @@ class BatchBuilder {
   Batch take();
 
  private:
+  void add_whole(const Scene& scene, const Shot& shot);
+  void add_sites(const Scene& scene, const Shot& shot);
+
   int64_t samples_;
   EncodeOptions options_;
   EncodeWanted wanted_;
   Batch batch_;
+  // With a support, how much there is of each image is known at the end.
+  std::vector<Sample> ragged_;
+  std::vector<uint8_t> masks_;
 };
 
 /// Throws Error naming two scenes whose sizes differ, or of which only one has some truth.

@@ -62,15 +62,19 @@ float aop(float s1, float s2) {
   return positive < kPi ? positive : 0.0F;  // a tiny negative angle plus pi rounds to pi
 }
 
+/// Where the pixels of a block are in an output.
+using Places = std::array<int32_t, kPixelBlock>;
+
 /// The values of one block of pixels, written into an image of `channels` from `to` on.
 class BlockWriter {
  public:
-  BlockWriter(const EncodeOptions& options, const LightBlock& light, std::span<const PixelIndex> pixels)
-      : options_(options), light_(light), pixels_(pixels) {}
+  BlockWriter(const EncodeOptions& options, const LightBlock& light, size_t count)
+      : options_(options), light_(light), count_(count) {}
 
-  void write(InputKind kind, float* to, int64_t channels) {
+  void write(InputKind kind, float* to, int64_t channels, const Places& places) {
     to_ = to;
     channels_ = channels;
+    places_ = &places;
     switch (kind) {
       case InputKind::kIntensity:
         for (size_t c = 0; c < 3; ++c) {
@@ -120,11 +124,11 @@ class BlockWriter {
  private:
   template <class F>
   void put(const F& value) {
-    for (size_t k = 0; k < pixels_.size(); ++k) to_[pixels_[k].image * channels_] = value(k);
+    for (size_t k = 0; k < count_; ++k) to_[(*places_)[k] * channels_] = value(k);
     ++to_;
   }
   void put_encoded(const Plane& linear) {
-    const std::span<const float> values(linear.data(), pixels_.size());
+    const std::span<const float> values(linear.data(), count_);
     if (options_.quantise) {
       encode_network_8bit(values, encoded_.data());
     } else {
@@ -134,7 +138,7 @@ class BlockWriter {
   }
   template <class F>
   void put_encoded(const F& linear) {
-    for (size_t k = 0; k < pixels_.size(); ++k) linear_[k] = linear(k);
+    for (size_t k = 0; k < count_; ++k) linear_[k] = linear(k);
     put_encoded(linear_);
   }
   void extreme(float sign) {
@@ -149,9 +153,10 @@ class BlockWriter {
 
   const EncodeOptions& options_;
   const LightBlock& light_;
-  std::span<const PixelIndex> pixels_;
+  size_t count_;
   float* to_ = nullptr;
   int64_t channels_ = 0;
+  const Places* places_ = nullptr;
   Plane linear_{}, encoded_{};
 };
 
@@ -169,6 +174,33 @@ std::vector<PixelIndex> pixels_of(const Scene& scene, Region region, const Windo
     }
   }
   return pixels;
+}
+
+/// The pixels that exist, and where they are in a window.
+std::vector<PixelIndex> pixels_of(const ActiveSites& sites, const Window& window) {
+  std::vector<PixelIndex> pixels;
+  pixels.reserve(static_cast<size_t>(sites.count()));
+  for (const ActiveSites::Rectangle& rectangle : sites.rectangles()) {
+    for (int64_t y = rectangle.row; y < rectangle.row + rectangle.rows; ++y) {
+      for (int64_t x = rectangle.column; x < rectangle.column + rectangle.columns; ++x) {
+        pixels.push_back(
+            {.image = static_cast<int32_t>(y * sites.w() + x),
+             .window = static_cast<int32_t>(window.at(static_cast<int>(x), static_cast<int>(y)))});
+      }
+    }
+  }
+  return pixels;
+}
+
+/// Places in a whole image, or among the sites of one.
+Places places_of(std::span<const PixelIndex> pixels, const ActiveSites* sites) {
+  Places places{};
+  for (size_t k = 0; k < pixels.size(); ++k) {
+    const int32_t at = pixels[k].image;
+    places[k] =
+        sites == nullptr ? at : static_cast<int32_t>(sites->site(0, at / sites->w(), at % sites->w()));
+  }
+  return places;
 }
 
 /// Calls f(pixels of a block) over all of them.
@@ -214,9 +246,14 @@ void encode_region(const Scene& scene, const EncodeOptions& options, const Shot&
   for_each_block(pixels, [&](std::span<const PixelIndex> block) {
     photograph(view, shot, Layer::kImage, block, light.pol);
     add_stokes(block.size(), light);
-    BlockWriter writer(options, light, block);
-    for (const Placed& placed : kinds) writer.write(placed.kind, outputs.input + placed.channel, channels);
-    if (target) writer.write(InputKind::kPol4, outputs.polarised, kPolariserChannels);
+    BlockWriter writer(options, light, block.size());
+    const Places places = places_of(block, nullptr);
+    for (const Placed& placed : kinds) {
+      writer.write(placed.kind, outputs.input + placed.channel, channels, places);
+    }
+    if (target) {
+      writer.write(InputKind::kPol4, outputs.polarised, kPolariserChannels, places_of(block, outputs.sites));
+    }
   });
 }
 
@@ -224,21 +261,26 @@ void encode_region(const Scene& scene, const EncodeOptions& options, const Shot&
 
 void encode_images(const Scene& scene, const EncodeOptions& options, const Shot& shot,
                    const ImageOutputs& outputs) {
+  const int64_t sites = outputs.sites == nullptr ? scene.pixels() : outputs.sites->count();
   // What no light reaches is black.
   std::fill_n(outputs.input, scene.pixels() * input_channels(options), -1.0F);
   if (outputs.polarised != nullptr) {
-    std::fill_n(outputs.polarised, scene.pixels() * kPolariserChannels, -1.0F);
+    std::fill_n(outputs.polarised, sites * kPolariserChannels, -1.0F);
   }
   for (const Region region : {Region::kObject, Region::kOutside, Region::kEverywhere}) {
     encode_region(scene, options, shot, region, outputs);
   }
   if (outputs.bsdf == nullptr) return;
-  const Window whole{0, 0, scene.width, scene.height};
-  const StokesView view{scene.bsdf.data(), whole, scene.width, scene.height};
+  const Window window = scene.object_window();
+  const StokesView view{scene.bsdf.data(), window, scene.width, scene.height};
+  const std::vector<PixelIndex> pixels = outputs.sites == nullptr
+                                             ? pixels_of(scene, Region::kEverywhere, window)
+                                             : pixels_of(*outputs.sites, window);
   LightBlock light;
-  for_each_block(pixels_of(scene, Region::kEverywhere, whole), [&](std::span<const PixelIndex> block) {
+  for_each_block(pixels, [&](std::span<const PixelIndex> block) {
     photograph(view, shot, Layer::kBsdf, block, light.pol);
-    BlockWriter(options, light, block).write(InputKind::kPol4, outputs.bsdf, kPolariserChannels);
+    BlockWriter(options, light, block.size())
+        .write(InputKind::kPol4, outputs.bsdf, kPolariserChannels, places_of(block, outputs.sites));
   });
 }
 

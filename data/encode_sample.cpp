@@ -39,6 +39,11 @@ constexpr std::array<Field, kFieldCount> kFields = {
      {"pure-BSDF images", &Sample::bsdf, &Batch::bsdf},
      {"polarised images", &Sample::polarised, &Batch::polarised}}};
 
+/// Whether a field has pixels.
+bool is_image(size_t field) {
+  return field != kIllumination && field != kSss;
+}
+
 void check_scene(const Scene& scene) {
   constexpr int kMultiple = 16;
   constexpr int kSmallest = 32;
@@ -52,23 +57,50 @@ void check_scene(const Scene& scene) {
   }
   const auto pixels = static_cast<size_t>(scene.pixels());
   const Window window = scene.image_window();
-  const bool inside =
-      window.x0 >= 0 && window.y0 >= 0 && window.x1 <= scene.width && window.y1 <= scene.height;
-  if (!inside || scene.image.size() != static_cast<size_t>(window.pixels()) * kStokesChannels ||
-      scene.mask.size() != pixels || (!scene.bsdf.empty() && scene.bsdf.size() != pixels * kStokesChannels)) {
-    fail(scene.source, "scene {} has {} image values for {}, {} pure-BSDF and {} mask values for {} pixels",
-         scene.id, scene.image.size(), to_string(window), scene.bsdf.size(), scene.mask.size(), pixels);
+  const Window object = scene.object_window();
+  const Window whole{0, 0, scene.width, scene.height};
+  const auto fills = [](const std::vector<float>& values, const Window& part, size_t channels) {
+    return values.size() == static_cast<size_t>(part.pixels()) * channels;
+  };
+  const auto absent_or_fills = [&](const std::vector<float>& values, size_t channels) {
+    return values.empty() || fills(values, object, channels);
+  };
+  if (!whole.contains(window) || !whole.contains(object) || !fills(scene.image, window, kStokesChannels) ||
+      scene.mask.size() != pixels || !absent_or_fills(scene.bsdf, kStokesChannels) ||
+      !absent_or_fills(scene.normal, 3) || !absent_or_fills(scene.depth, 1)) {
+    fail(scene.source,
+         "scene {} has {} image values for {}; {} pure-BSDF, {} normal and {} depth values for {}; {} mask "
+         "values for {} pixels",
+         scene.id, scene.image.size(), to_string(window), scene.bsdf.size(), scene.normal.size(),
+         scene.depth.size(), to_string(object), scene.mask.size(), pixels);
   }
+}
+
+/// The tiles of one scene, all of whose values were read.
+std::shared_ptr<const ActiveSites> sites_of(const Scene& scene, int64_t dilation) {
+  auto sites = support_of(1, scene.height, scene.width, scene.mask, dilation);
+  const Window object = scene.object_window();
+  for (const ActiveSites::Rectangle& tile : sites->rectangles()) {
+    const Window window{static_cast<int>(tile.column), static_cast<int>(tile.row),
+                        static_cast<int>(tile.column + tile.columns), static_cast<int>(tile.row + tile.rows)};
+    if (!object.contains(window)) {
+      fail(scene.source, "scene {}: {}, a part of its support, is outside what was read of it, {}", scene.id,
+           to_string(window), to_string(object));
+    }
+  }
+  return sites;
 }
 
 /// The shape of each field; empty where the scene lacks it or it is not wanted.
 std::array<Shape, kFieldCount> shapes_of(const Scene& scene, const EncodeOptions& options,
-                                         const EncodeWanted& wanted) {
-  const auto image = [&](int64_t channels) { return Shape{scene.height, scene.width, channels}; };
+                                         const EncodeWanted& wanted, const ActiveSites* sites) {
+  const auto image = [&](int64_t channels) {
+    return sites == nullptr ? Shape{scene.height, scene.width, channels} : Shape{sites->count(), channels};
+  };
   std::array<Shape, kFieldCount> shapes;
   const int64_t channels = input_channels(options);
   if (channels == 0) fail_usage("inputs", "the list of inputs is empty");
-  shapes[kInput] = image(channels);
+  shapes[kInput] = {scene.height, scene.width, channels};
   shapes[kMask] = image(1);
   if (wanted.targets) {
     if (!scene.normal.empty()) shapes[kNormal] = image(3);
@@ -87,23 +119,44 @@ std::array<Shape, kFieldCount> shapes_of(const Scene& scene, const EncodeOptions
   return shapes;
 }
 
-/// Copies the object's values, zero elsewhere.
-void copy_masked(const std::vector<float>& from, const Scene& scene, int64_t channels, float* to) {
-  std::fill_n(to, scene.pixels() * channels, 0.0F);
-  for (int64_t i = 0; i < scene.pixels(); ++i) {
-    if (scene.mask[static_cast<size_t>(i)] == 0) continue;
-    std::copy_n(from.data() + i * channels, channels, to + i * channels);
+/// Copies the object's values, zero elsewhere. `values` are the scene's, of its object_window().
+void copy_masked(const std::vector<float>& values, const Scene& scene, const ActiveSites* sites,
+                 int64_t channels, float* to) {
+  std::fill_n(to, (sites == nullptr ? scene.pixels() : sites->count()) * channels, 0.0F);
+  const Window window = scene.object_window();
+  for (int y = window.y0; y < window.y1; ++y) {
+    for (int x = window.x0; x < window.x1; ++x) {
+      const int64_t pixel = int64_t{y} * scene.width + x;
+      if (scene.mask[static_cast<size_t>(pixel)] == 0) continue;
+      const int64_t place = sites == nullptr ? pixel : sites->site(0, y, x);
+      std::copy_n(values.data() + static_cast<int64_t>(window.at(x, y)) * channels, channels,
+                  to + place * channels);
+    }
+  }
+}
+
+/// 1 on the object, 0 elsewhere.
+void copy_mask(const Scene& scene, const ActiveSites* sites, float* to) {
+  std::fill_n(to, sites == nullptr ? scene.pixels() : sites->count(), 0.0F);
+  for (int64_t pixel = 0; pixel < scene.pixels(); ++pixel) {
+    if (scene.mask[static_cast<size_t>(pixel)] == 0) continue;
+    to[sites == nullptr ? pixel : sites->site(0, pixel / scene.width, pixel % scene.width)] = 1.0F;
   }
 }
 
 /// Encodes a scene into the fields that are not null.
-void fill(const Scene& scene, const EncodeOptions& options, const Shot& shot,
+void fill(const Scene& scene, const EncodeOptions& options, const Shot& shot, const ActiveSites* sites,
           const std::array<float*, kFieldCount>& to) {
-  encode_images(scene, options, shot, {.input = to[kInput], .polarised = to[kPolarised], .bsdf = to[kBsdf]});
-  std::transform(scene.mask.begin(), scene.mask.end(), to[kMask],
-                 [](uint8_t object) { return object != 0 ? 1.0F : 0.0F; });
-  if (to[kNormal] != nullptr) copy_masked(scene.normal, scene, 3, to[kNormal]);
-  if (to[kDepth] != nullptr) copy_masked(scene.depth, scene, 1, to[kDepth]);
+  const Window whole{0, 0, scene.width, scene.height};
+  if (sites == nullptr && scene.object_window() != whole) {
+    fail(scene.source, "scene {}: {} is outside what was read of it, {}", scene.id, to_string(whole),
+         to_string(scene.object_window()));
+  }
+  encode_images(scene, options, shot,
+                {.input = to[kInput], .polarised = to[kPolarised], .bsdf = to[kBsdf], .sites = sites});
+  copy_mask(scene, sites, to[kMask]);
+  if (to[kNormal] != nullptr) copy_masked(scene.normal, scene, sites, 3, to[kNormal]);
+  if (to[kDepth] != nullptr) copy_masked(scene.depth, scene, sites, 1, to[kDepth]);
   if (float* out = to[kIllumination]; out != nullptr) {
     for (size_t i = 0; i < kShValues; ++i) *out++ = (*scene.sh)[i] * shot.gain[i / (kShValues / 3)];
     if (options.flash_in_illumination) *out = map_flash(*scene.flash * shot.flash_gain());
@@ -116,10 +169,62 @@ void fill(const Scene& scene, const EncodeOptions& options, const Shot& shot,
   }
 }
 
+/// Encodes one scene, of whose images but the input only the sites are made where there are some.
+Sample encode_sites(const Scene& scene, const EncodeOptions& options, const EncodeWanted& wanted,
+                    const Shot& shot, const std::shared_ptr<const ActiveSites>& sites) {
+  Sample sample;
+  sample.id = scene.id;
+  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options, wanted, sites.get());
+  std::array<float*, kFieldCount> to{};
+  for (size_t i = 0; i < kFieldCount; ++i) {
+    if (shapes[i].empty()) continue;
+    Tensor& tensor = sample.*kFields[i].sample;
+    tensor = Tensor(shapes[i]);
+    to[i] = tensor.data<float>();
+  }
+  fill(scene, options, shot, sites.get(), to);
+  return sample;
+}
+
+/// Throws Error unless a scene of such fields fits the batch's first one.
+void require_same(const std::string& first_id, const Shape& first, const std::string& id, const Shape& shape,
+                  std::string_view name) {
+  if (first.empty() != shape.empty()) {
+    fail("make_batch", "of scenes {} and {} only one has {}", first_id, id, name);
+  }
+  if (first != shape) {
+    fail("make_batch", "{} of scene {} is {}, of scene {} {}: scenes of a batch need one size", name,
+         first_id, to_string(first), id, to_string(shape));
+  }
+}
+
+Shape shape_or_none(const Tensor& tensor) {
+  return tensor.defined() ? tensor.shape() : Shape{};
+}
+
+/// One after the other along the first dimension, after `shape` has been given to the whole.
+Tensor join(std::span<const Sample> samples, Tensor Sample::*field, const Shape& shape) {
+  Tensor joined(shape, (samples.front().*field).dtype());
+  std::byte* to = joined.bytes();
+  for (const Sample& sample : samples) {
+    const Tensor& tensor = sample.*field;
+    std::memcpy(to, tensor.bytes(), static_cast<size_t>(tensor.byte_size()));
+    to += tensor.byte_size();
+  }
+  return joined;
+}
+
+/// The shape of all samples' tensors stacked.
+Shape stacked(const Tensor& one, size_t samples) {
+  Shape shape = one.shape();
+  shape.insert(shape.begin(), static_cast<int64_t>(samples));
+  return shape;
+}
+
 }  // namespace
 
 bool needs_whole_image(const EncodeOptions& options, const EncodeWanted& wanted) {
-  return wanted.reconstruction ||
+  return (wanted.reconstruction && !wanted.support) ||
          std::any_of(options.inputs.begin(), options.inputs.end(), [](InputKind kind) {
            return kind != InputKind::kPol4 && kind != InputKind::kMaxMin && kind != InputKind::kMask;
          });
@@ -128,18 +233,7 @@ bool needs_whole_image(const EncodeOptions& options, const EncodeWanted& wanted)
 Sample encode_scene(const Scene& scene, const EncodeOptions& options, const EncodeWanted& wanted,
                     const Shot& shot) {
   check_scene(scene);
-  Sample sample;
-  sample.id = scene.id;
-  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options, wanted);
-  std::array<float*, kFieldCount> to{};
-  for (size_t i = 0; i < kFieldCount; ++i) {
-    if (shapes[i].empty()) continue;
-    Tensor& tensor = sample.*kFields[i].sample;
-    tensor = Tensor(shapes[i]);
-    to[i] = tensor.data<float>();
-  }
-  fill(scene, options, shot, to);
-  return sample;
+  return encode_sites(scene, options, wanted, shot, nullptr);
 }
 
 BatchBuilder::BatchBuilder(int64_t samples, const EncodeOptions& options, const EncodeWanted& wanted)
@@ -150,7 +244,16 @@ BatchBuilder::BatchBuilder(int64_t samples, const EncodeOptions& options, const 
 void BatchBuilder::add(const Scene& scene, const Shot& shot) {
   if (size() == samples_) fail("make_batch", "scene {} comes after all {} samples", scene.id, samples_);
   check_scene(scene);
-  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options_, wanted_);
+  if (wanted_.support) {
+    add_sites(scene, shot);
+  } else {
+    add_whole(scene, shot);
+  }
+  batch_.ids.push_back(scene.id);
+}
+
+void BatchBuilder::add_whole(const Scene& scene, const Shot& shot) {
+  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options_, wanted_, nullptr);
   std::array<float*, kFieldCount> to{};
   for (size_t i = 0; i < kFieldCount; ++i) {
     Tensor& tensor = batch_.*kFields[i].batch;
@@ -159,24 +262,41 @@ void BatchBuilder::add(const Scene& scene, const Shot& shot) {
       shape.insert(shape.begin(), samples_);
       tensor = Tensor(shape);
     }
-    if (tensor.defined() != !shapes[i].empty()) {
-      fail("make_batch", "of scenes {} and {} only one has {}", batch_.ids.front(), scene.id,
-           kFields[i].name);
-    }
-    if (!tensor.defined()) continue;
-    const Shape one(tensor.shape().begin() + 1, tensor.shape().end());
-    if (one != shapes[i]) {
-      fail("make_batch", "{} of scene {} is {}, of scene {} {}: scenes of a batch need one size",
-           kFields[i].name, batch_.ids.front(), to_string(one), scene.id, to_string(shapes[i]));
-    }
-    to[i] = tensor.data<float>() + size() * numel(one);
+    const Shape one = tensor.defined() ? Shape(tensor.shape().begin() + 1, tensor.shape().end()) : Shape{};
+    if (!batch_.ids.empty()) require_same(batch_.ids.front(), one, scene.id, shapes[i], kFields[i].name);
+    if (tensor.defined()) to[i] = tensor.data<float>() + size() * numel(one);
   }
-  fill(scene, options_, shot, to);
-  batch_.ids.push_back(scene.id);
+  fill(scene, options_, shot, nullptr, to);
+}
+
+void BatchBuilder::add_sites(const Scene& scene, const Shot& shot) {
+  Sample sample = encode_sites(scene, options_, wanted_, shot, sites_of(scene, *wanted_.support));
+  for (size_t i = 0; i < kFieldCount && !ragged_.empty(); ++i) {
+    Shape first = shape_or_none(ragged_.front().*kFields[i].sample);
+    Shape shape = shape_or_none(sample.*kFields[i].sample);
+    // Their sites may be more or fewer, but the whole input says that they are of one size.
+    if (!first.empty() && !shape.empty() && is_image(i) && i != kInput) first.front() = shape.front();
+    require_same(ragged_.front().id, first, sample.id, shape, kFields[i].name);
+  }
+  masks_.insert(masks_.end(), scene.mask.begin(), scene.mask.end());
+  ragged_.push_back(std::move(sample));
 }
 
 Batch BatchBuilder::take() {
   if (size() != samples_) fail("make_batch", "{} of {} samples were added", size(), samples_);
+  if (!wanted_.support) return std::move(batch_);
+  const Shape& image = ragged_.front().input.shape();
+  const auto sites = support_of(samples_, image[0], image[1], masks_, *wanted_.support);
+  for (size_t i = 0; i < kFieldCount; ++i) {
+    const Tensor& first = ragged_.front().*kFields[i].sample;
+    if (!first.defined()) continue;
+    Tensor& tensor = batch_.*kFields[i].batch;
+    const bool ragged = is_image(i) && i != kInput;
+    tensor = join(ragged_, kFields[i].sample,
+                  ragged ? Shape{sites->count(), first.size(1)} : stacked(first, ragged_.size()));
+    if (ragged) tensor.set_sites(sites);
+    for (Sample& sample : ragged_) sample.*kFields[i].sample = {};
+  }
   return std::move(batch_);
 }
 
@@ -187,26 +307,12 @@ Batch make_batch(std::span<const Sample> samples) {
   for (const Field& field : kFields) {
     const Tensor& first = samples.front().*field.sample;
     for (const Sample& sample : samples) {
-      const Tensor& tensor = sample.*field.sample;
-      if (tensor.defined() != first.defined()) {
-        fail("make_batch", "of scenes {} and {} only one has {}", samples.front().id, sample.id, field.name);
-      }
-      if (tensor.defined() && tensor.shape() != first.shape()) {
-        fail("make_batch", "{} of scene {} is {}, of scene {} {}: scenes of a batch need one size",
-             field.name, samples.front().id, to_string(first.shape()), sample.id, to_string(tensor.shape()));
-      }
+      require_same(samples.front().id, shape_or_none(first), sample.id, shape_or_none(sample.*field.sample),
+                   field.name);
     }
-    if (!first.defined()) continue;
-    Shape shape = first.shape();
-    shape.insert(shape.begin(), static_cast<int64_t>(samples.size()));
-    Tensor stacked(shape, first.dtype());
-    std::byte* to = stacked.bytes();
-    for (const Sample& sample : samples) {
-      const Tensor& tensor = sample.*field.sample;
-      std::memcpy(to, tensor.bytes(), static_cast<size_t>(tensor.byte_size()));
-      to += tensor.byte_size();
+    if (first.defined()) {
+      batch.*field.batch = join(samples, field.sample, stacked(first, samples.size()));
     }
-    batch.*field.batch = stacked;
   }
   return batch;
 }

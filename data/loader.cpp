@@ -228,7 +228,8 @@ struct Loader::Impl {
     }
     const LoadOptions wanted{.bsdf = options.wanted.reconstruction,
                              .truth = options.wanted.targets,
-                             .whole = needs_whole_image(options.encode, options.wanted)};
+                             .whole = needs_whole_image(options.encode, options.wanted),
+                             .support = options.wanted.support};
     std::shared_ptr<const Scene> scene;
     try {
       scene = std::make_shared<const Scene>(dataset->load(options.split, index, wanted));

@@ -28,7 +28,7 @@ struct Scene {
   int height = 0;
 
   std::vector<float> image;   ///< H x W x 9 linear Stokes; of the window alone where there is one
-  std::vector<float> bsdf;    ///< the same without the medium; empty where absent or not asked for
+  std::vector<float> bsdf;    ///< without the medium; empty where absent or not asked for
   std::vector<float> normal;  ///< H x W x 3, unit inside the mask; empty where absent or not asked for
   std::vector<float> depth;   ///< H x W; empty where absent or not asked for
   std::vector<uint8_t> mask;  ///< H x W, 1 on the object
@@ -45,8 +45,11 @@ struct Scene {
 
   /// What `image` covers, where less than the whole was read (LoadOptions::whole).
   std::optional<Window> window;
+  /// What `bsdf`, `normal` and `depth` cover, where less than the whole was read (LoadOptions::support).
+  std::optional<Window> object;
 
   Window image_window() const { return window.value_or(Window{0, 0, width, height}); }
+  Window object_window() const { return object.value_or(Window{0, 0, width, height}); }
   int64_t pixels() const { return int64_t{width} * height; }
   /// Bytes of pixels held.
   int64_t byte_size() const;

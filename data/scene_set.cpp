@@ -119,19 +119,25 @@ SetFile read_set_file(const fs::path& root) {
   }
 }
 
-/// Calls put(pixel of the image, values of the part there) where the part's window lies on the image.
+/// Calls put(x, y, values of the part there) where the part lies on a window of the image.
 template <class Put>
-void for_each_pixel(const ExrPart& part, int width, int height, const Put& put) {
-  const size_t channels = part.channels.size();
+void for_each_pixel(const ExrPart& part, const Window& window, const Put& put) {
   const Window& w = part.window;
-  for (int y = std::max(w.y0, 0); y < std::min(w.y1, height); ++y) {
-    for (int x = std::max(w.x0, 0); x < std::min(w.x1, width); ++x) {
-      const auto from =
-          static_cast<size_t>(y - w.y0) * static_cast<size_t>(w.width()) + static_cast<size_t>(x - w.x0);
-      put(static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x),
-          part.pixels.data() + from * channels);
+  for (int y = std::max(w.y0, window.y0); y < std::min(w.y1, window.y1); ++y) {
+    for (int x = std::max(w.x0, window.x0); x < std::min(w.x1, window.x1); ++x) {
+      put(x, y, part.pixels.data() + w.at(x, y) * part.channels.size());
     }
   }
+}
+
+/// The box of tiles around a box of pixels, with `dilation` tiles more, grown by a pixel: a sensor's mosaic
+/// looks one pixel further.
+Window support_box(const Window& box, int64_t dilation, const Window& whole) {
+  constexpr int kTile = 16;
+  const auto around = static_cast<int>(std::min<int64_t>(dilation, (whole.x1 + whole.y1) / kTile)) * kTile;
+  const Window tiles{box.x0 / kTile * kTile, box.y0 / kTile * kTile, (box.x1 + kTile - 1) / kTile * kTile,
+                     (box.y1 + kTile - 1) / kTile * kTile};
+  return grown(tiles, around + 1, whole.x1, whole.y1);
 }
 
 /// Applies the sign conventions to the light of a window and refuses light that cannot be.
@@ -274,17 +280,18 @@ class SceneSet final : public Dataset {
 
   void read_images(const ExrReader& reader, const LoadOptions& options, Scene& scene) const {
     const Window whole{0, 0, scene.width, scene.height};
-    if (!options.whole && !options.bsdf) scene.window = object_window(reader, whole);
+    const Window box = object_box(reader, whole);
+    if (options.support) scene.object = support_box(box, *options.support, whole);
+    if (!options.whole) {
+      scene.window = options.bsdf ? scene.object : grown(box, 1, scene.width, scene.height);
+    }
     const Window wanted = scene.image_window();
     ExrPart image = reader.read("image", kStokesNames, ExrRows{wanted.y0, wanted.y1});
     if (image.window == wanted) {
       scene.image = std::move(image.pixels);
     } else if (image.window == Window{0, wanted.y0, scene.width, wanted.y1}) {
       scene.image.reserve(static_cast<size_t>(wanted.pixels()) * kStokesChannels);
-      for (int y = 0; y < wanted.height(); ++y) {
-        const auto row = image.pixels.begin() + (int64_t{y} * scene.width + wanted.x0) * kStokesChannels;
-        scene.image.insert(scene.image.end(), row, row + int64_t{wanted.width()} * kStokesChannels);
-      }
+      append_window(image.pixels, image.window, wanted, scene.image);
     } else {
       fail(scene.source, "part 'image' has window {} where {} is expected", to_string(image.window),
            to_string(Window{0, wanted.y0, scene.width, wanted.y1}));
@@ -294,44 +301,58 @@ class SceneSet final : public Dataset {
     ExrPart bsdf = reader.read("bsdf", kStokesNames);
     convert_light(bsdf.pixels, bsdf.window, set_.conventions, scene, "bsdf");
     // Outside the window there is no object, so both renderings see the same.
-    scene.bsdf = scene.image;
-    for_each_pixel(bsdf, scene.width, scene.height, [&](size_t pixel, const float* values) {
-      std::copy_n(values, kStokesChannels, scene.bsdf.data() + pixel * kStokesChannels);
+    const Window object = scene.object_window();
+    append_window(scene.image, wanted, object, scene.bsdf);
+    for_each_pixel(bsdf, object, [&](int x, int y, const float* values) {
+      std::copy_n(values, kStokesChannels, scene.bsdf.data() + object.at(x, y) * kStokesChannels);
     });
   }
 
-  /// The box of the object, which is part truth's, grown by a pixel and inside the image.
-  static Window object_window(const ExrReader& reader, const Window& whole) {
+  /// The pixels of `part` out of Stokes values of a window that contains it.
+  static void append_window(const std::vector<float>& values, const Window& window, const Window& part,
+                            std::vector<float>& to) {
+    to.reserve(to.size() + static_cast<size_t>(part.pixels()) * kStokesChannels);
+    for (int y = part.y0; y < part.y1; ++y) {
+      const auto row = values.begin() + static_cast<std::ptrdiff_t>(window.at(part.x0, y) * kStokesChannels);
+      to.insert(to.end(), row, row + std::ptrdiff_t{part.width()} * kStokesChannels);
+    }
+  }
+
+  /// The box of the object, which is part truth's, inside the image.
+  static Window object_box(const ExrReader& reader, const Window& whole) {
     for (const ExrPartInfo& part : reader.parts()) {
       if (part.name != "truth") continue;
-      const Window window = grown(part.window, 1, whole.x1, whole.y1);
+      const Window window = grown(part.window, 0, whole.x1, whole.y1);
       if (window.width() > 0 && window.height() > 0) return window;
     }
     return whole;  // reading it will say what is wrong
   }
 
   static void read_truth(const ExrReader& reader, const LoadOptions& options, Scene& scene) {
-    const auto pixels = static_cast<size_t>(scene.pixels());
-    scene.mask.assign(pixels, 0);
+    const Window whole{0, 0, scene.width, scene.height};
+    scene.mask.assign(static_cast<size_t>(scene.pixels()), 0);
     const ExrPart truth = reader.read("truth", options.truth ? kTruthNames : kMaskName);
     if (!options.truth) {
-      for_each_pixel(truth, scene.width, scene.height, [&](size_t pixel, const float* values) {
-        scene.mask[pixel] = values[0] == 1.0F ? 1 : 0;
+      for_each_pixel(truth, whole, [&](int x, int y, const float* values) {
+        scene.mask[whole.at(x, y)] = values[0] == 1.0F ? 1 : 0;
       });
       return;
     }
-    scene.normal.assign(3 * pixels, 0.0F);
-    scene.depth.assign(pixels, 0.0F);
-    for_each_pixel(truth, scene.width, scene.height, [&](size_t pixel, const float* values) {
+    const Window object = scene.object_window();
+    scene.normal.assign(3 * static_cast<size_t>(object.pixels()), 0.0F);
+    scene.depth.assign(static_cast<size_t>(object.pixels()), 0.0F);
+    for_each_pixel(truth, object, [&](int x, int y, const float* values) {
       if (values[4] != 1.0F) return;
-      scene.mask[pixel] = 1;
-      scene.depth[pixel] = values[3];
+      scene.mask[whole.at(x, y)] = 1;
+      scene.depth[object.at(x, y)] = values[3];
       const float length = std::hypot(values[0], values[1], values[2]);
       if (!(length > 0.5F && length < 2.0F && std::isfinite(values[3]))) {
-        fail(scene.source, "scene {}, pixel {}: normal ({}, {}, {}) and depth {} are no surface", scene.id,
-             pixel, values[0], values[1], values[2], values[3]);
+        fail(scene.source, "scene {}, pixel ({}, {}): normal ({}, {}, {}) and depth {} are no surface",
+             scene.id, x, y, values[0], values[1], values[2], values[3]);
       }
-      for (size_t c = 0; c < 3; ++c) scene.normal[3 * pixel + c] = values[c] / length;  // half floats round
+      for (size_t c = 0; c < 3; ++c) {
+        scene.normal[3 * object.at(x, y) + c] = values[c] / length;  // half floats round
+      }
     });
   }
 

@@ -17,6 +17,11 @@ struct Window {
   int width() const { return x1 - x0; }
   int height() const { return y1 - y0; }
   int64_t pixels() const { return int64_t{width()} * height(); }
+  /// The place of a pixel in the window, row by row.
+  size_t at(int x, int y) const { return static_cast<size_t>(int64_t{y - y0} * width() + (x - x0)); }
+  bool contains(const Window& other) const {
+    return x0 <= other.x0 && y0 <= other.y0 && x1 >= other.x1 && y1 >= other.y1;
+  }
   bool operator==(const Window&) const = default;
 };
 

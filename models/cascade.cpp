@@ -67,9 +67,9 @@ CascadeOutput Cascade::forward(const CascadeInput& input, const CascadeWanted& w
   const int64_t height = input.image.size(1);
   const int64_t width = input.image.size(2);
   std::shared_ptr<const ActiveSites> sites;
-  if (options_.skip == Skip::kSupport) {
+  if (const std::optional<int64_t> dilation = options_.support()) {
     if (!input.mask.defined()) fail("cascade", "skipping what lies outside the mask needs a mask");
-    sites = support_of(input.mask, options_.dilation);
+    sites = input.mask.sites() ? input.mask.sites() : support_of(input.mask, *dilation);
   }
   const auto selected = [&sites](const Tensor& x) { return sites ? select_sites(x, sites) : x; };
   const Tensor image = wanted.normal || wanted.depth || sss ? selected(input.image) : Tensor();

@@ -33,6 +33,11 @@ struct CascadeOptions {
   /// The illumination network sees the image averaged over squares of so many pixels a side; its light of
   /// nine coefficients a colour is smooth. What is left must be an image that networks take.
   int64_t illumination_downscale = 1;
+
+  /// The dilation of the support that is computed; nothing where everything is.
+  std::optional<int64_t> support() const {
+    return skip == Skip::kSupport ? std::optional(dilation) : std::nullopt;
+  }
 };
 
 /// Which results to compute; those that they need are computed (and given) too.
@@ -44,6 +49,7 @@ struct CascadeWanted {
   bool reconstruction = false;  ///< needs sss, and CascadeInput::bsdf
 };
 
+/// Where something is skipped bsdf and mask may be whole, or of the support's sites already.
 struct CascadeInput {
   Tensor image;  ///< N x H x W x input channels
   Tensor bsdf;   ///< N x H x W x 12, the four pure-BSDF images; may be undefined without reconstruction

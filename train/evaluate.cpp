@@ -16,8 +16,14 @@ constexpr int64_t kBlock = 32;
 // Of the sensor's errors: evaluations of all runs see the same images.
 constexpr uint64_t kSensorSeed = 20240917;
 
-/// Image n of a batch.
+/// Image n of a batch, or what there is of it.
 std::span<const float> image_of(const Tensor& batch, int64_t n) {
+  if (const auto& sites = batch.sites()) {
+    const int64_t channels = batch.size(1);
+    const int64_t first = sites->first(n);
+    return batch.values<float>().subspan(static_cast<size_t>(first * channels),
+                                         static_cast<size_t>((sites->first(n + 1) - first) * channels));
+  }
   const int64_t size = batch.numel() / batch.size(0);
   return batch.values<float>().subspan(static_cast<size_t>(n * size), static_cast<size_t>(size));
 }
@@ -27,9 +33,35 @@ std::optional<SssValues> sss_of(const Tensor& batch, int64_t n) {
   return decode_sss(image_of(batch, n));
 }
 
-SceneValues values_of(const MeanPredictor& mean) {
-  return {.normal = mean.normal, .depth = mean.depth, .sss = mean.sss};
-}
+/// The mean predictor's maps where image n of a batch has pixels.
+class MeanMaps {
+ public:
+  MeanMaps(const MeanPredictor& mean, const Tensor& batch, int64_t n) : mean_(mean) {
+    const auto& sites = batch.sites();
+    if (!sites) return;
+    for (int64_t row = 0; row < sites->h(); ++row) {
+      for (int64_t column = 0; column < sites->w(); ++column) {
+        if (sites->site(n, row, column) < 0) continue;
+        const int64_t pixel = row * sites->w() + column;
+        normal_.insert(normal_.end(), mean.normal.begin() + 3 * pixel, mean.normal.begin() + 3 * pixel + 3);
+        depth_.push_back(mean.depth[static_cast<size_t>(pixel)]);
+      }
+    }
+    part_ = true;
+  }
+  SceneValues values(const EvaluateColumns& columns) const {
+    SceneValues result{.normal = {}, .depth = {}, .sss = {}};
+    if (columns.normal) result.normal = part_ ? normal_ : mean_.normal;
+    if (columns.depth) result.depth = part_ ? depth_ : mean_.depth;
+    if (columns.sss) result.sss = mean_.sss;
+    return result;
+  }
+
+ private:
+  const MeanPredictor& mean_;
+  std::vector<float> normal_, depth_;
+  bool part_ = false;
+};
 
 void require_finite(const Metrics& metrics, const std::string& id) {
   for (size_t m = 0; m < kMetricCount; ++m) {
@@ -169,18 +201,20 @@ MeanPredictor fit_mean_predictor(const Dataset& dataset, int64_t max_scenes, Dam
 std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const Dataset>& dataset,
                                   const EncodeOptions& encode, const MeanPredictor* mean,
                                   const EvaluateOptions& options) {
-  Loader loader(dataset, {.split = options.split,
-                          .batch = options.batch,
-                          .min_last = 1,
-                          .shuffle = false,
-                          .seed = kSensorSeed,
-                          .epochs = 1,
-                          .max_samples = options.max_scenes,
-                          .threads = options.threads,
-                          .damaged = options.damaged,
-                          .capture = options.capture,
-                          .encode = encode,
-                          .wanted = {.targets = true, .reconstruction = false}});
+  Loader loader(
+      dataset,
+      {.split = options.split,
+       .batch = options.batch,
+       .min_last = 1,
+       .shuffle = false,
+       .seed = kSensorSeed,
+       .epochs = 1,
+       .max_samples = options.max_scenes,
+       .threads = options.threads,
+       .damaged = options.damaged,
+       .capture = options.capture,
+       .encode = encode,
+       .wanted = {.targets = true, .reconstruction = false, .support = cascade.options().support()}});
   const NoGradGuard no_grad;
   cascade.set_training(false);
   const EvaluateColumns& columns = options.columns;
@@ -190,9 +224,9 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
     if (!batch->normal.defined() || !batch->depth.defined()) {
       fail("evaluate", "scene {} has no ground truth of normal and depth", batch->ids.front());
     }
-    const CascadeOutput out = whole(cascade.forward(
+    const CascadeOutput out = cascade.forward(
         {.image = batch->input, .bsdf = {}, .mask = batch->mask},
-        {.normal = columns.normal, .depth = columns.depth, .illumination = false, .sss = sss}));
+        {.normal = columns.normal, .depth = columns.depth, .illumination = false, .sss = sss});
     std::set<int64_t> left_out;  // a stand-in is another test scene: it must not count twice
     for (const ReplacedScene& scene : batch->replaced) {
       left_out.insert(scene.sample);
@@ -214,15 +248,13 @@ std::vector<SceneResult> evaluate(Cascade& cascade, const std::shared_ptr<const 
       result.cascade = measure(estimate, truth, mask);
       require_finite(result.cascade, result.id);
       if (mean != nullptr) {
-        if (mean->depth.size() != mask.size()) {
-          fail("evaluate", "scene {} has {} pixels, the training scenes {} x {}: the mean map does not fit",
-               result.id, mask.size(), mean->width, mean->height);
+        const int64_t width = batch->input.size(2);
+        const int64_t height = batch->input.size(1);
+        if (mean->width != width || mean->height != height) {
+          fail("evaluate", "scene {} is {} x {}, the training scenes {} x {}: the mean map does not fit",
+               result.id, width, height, mean->width, mean->height);
         }
-        SceneValues values = values_of(*mean);
-        if (!columns.normal) values.normal = {};
-        if (!columns.depth) values.depth = {};
-        if (!columns.sss) values.sss.reset();
-        result.mean = measure(values, truth, mask);
+        result.mean = measure(MeanMaps(*mean, batch->mask, n).values(columns), truth, mask);
       }
       results.push_back(std::move(result));
     }

@@ -13,6 +13,7 @@
 #include "core/file.h"
 #include "core/kernels/conv_plan.h"
 #include "core/numerics.h"
+#include "core/ops/sites.h"
 #include "core/parallel.h"
 #include "data/dataset.h"
 #include "data/loader.h"
@@ -240,7 +241,9 @@ bool Trainer::run_stage() {
                  .damaged = config_.data.damaged,
                  .capture = config_.data.capture,
                  .encode = config_.model.encode,
-                 .wanted = {.targets = true, .reconstruction = reconstruction}},
+                 .wanted = {.targets = true,
+                            .reconstruction = reconstruction,
+                            .support = stage_->cascade().options().support()}},
                 {.epoch = before + state_.epoch, .batch = state_.batch});
   while (state_.epoch < stage_config().epochs) {
     if (!run_epoch(loader)) return false;
@@ -334,7 +337,7 @@ void Trainer::stop_on(const StepFailure& failure) {
   const fs::path folder = save_checkpoint(options_.run.failures(), state_, stage_->cascade(), stage_->adam());
   TensorMap batch;
   const auto keep = [&](const std::string& name, const Tensor& tensor) {
-    if (tensor.defined()) batch[name] = tensor;
+    if (tensor.defined()) batch[name] = to_dense(tensor);
   };
   keep("input", failure.batch.input);
   keep("normal", failure.batch.normal);

@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "core/memory.h"
+#include "core/ops/sites.h"
 #include "tests/data/support.h"
 
 namespace opaline::test {
@@ -387,6 +388,87 @@ TEST_CASE("a loader streams a data set of ours", "[loader]") {
     samples += batch->size();
   }
   CHECK(samples == 6);
+}
+
+bool same_values(const Tensor& a, const Tensor& b) {
+  return a.shape() == b.shape() && std::memcmp(a.bytes(), b.bytes(), static_cast<size_t>(a.byte_size())) == 0;
+}
+
+TEST_CASE("with a support a batch holds what the whole one has there, to the last bit", "[loader]") {
+  const TempFolder folder;
+  write_small_set(folder.path(), 5, 0, 96, 0.3F);
+  const std::shared_ptr<const Dataset> set = open_dataset(folder.path());
+  const bool release = GENERATE(false, true);
+  const bool sensor = GENERATE(false, true);
+  const int64_t dilation = GENERATE(0, 1);
+  LoaderOptions options;
+  options.batch = 3;
+  options.min_last = 1;
+  options.epochs = 2;
+  options.encode = release ? EncodeOptions::release() : EncodeOptions::paper();
+  options.capture.sensor.on = sensor;
+  Loader whole_loader(set, options);
+  options.wanted.support = dilation;
+  options.threads = 2;
+  options.cache_bytes = 1 << 24;
+  Loader loader(set, options);
+  int64_t batches = 0;
+  while (const std::optional<Batch> whole = whole_loader.next()) {
+    const std::optional<Batch> part = loader.next();
+    REQUIRE(part);
+    const auto sites = support_of(whole->mask, dilation);
+    REQUIRE(sites->count() < whole->mask.numel());
+    CHECK(part->ids == whole->ids);
+    for (Tensor Batch::*field :
+         {&Batch::normal, &Batch::depth, &Batch::mask, &Batch::bsdf, &Batch::polarised}) {
+      REQUIRE((*part.*field).sites());
+      CHECK(*(*part.*field).sites() == *sites);
+      CHECK(same_values(*part.*field, select_sites(*whole.*field, sites)));
+    }
+    for (Tensor Batch::*field : {&Batch::input, &Batch::illumination, &Batch::sss}) {
+      CHECK(same_values(*part.*field, *whole.*field));
+    }
+    ++batches;
+  }
+  CHECK(batches == 4);
+  CHECK_FALSE(loader.next());
+}
+
+TEST_CASE("of a support only its box is kept, and no less", "[loader]") {
+  const TempFolder folder;
+  write_small_set(folder.path(), 1, 0, 96, 0.3F);
+  const auto set = open_dataset(folder.path());
+  const SceneRecord record = read_scene_index(folder / "train.jsonl").front();
+  const LoadOptions options{.whole = false, .support = 0};
+  Scene scene = set->load(Split::kTrain, 0, options);
+  REQUIRE(scene.object);
+  CHECK(scene.window == scene.object);
+  CHECK(scene.object->contains(record.box));
+  CHECK(scene.object->pixels() < 96 * 96);
+  CHECK(scene.byte_size() < set->load(Split::kTrain, 0).byte_size());
+  CHECK(set->load(Split::kTrain, 0, {.support = 6}).object == Window{0, 0, 96, 96});
+
+  const EncodeWanted wanted{.support = 0};
+  BatchBuilder(1, EncodeOptions::paper(), wanted).add(scene);
+  // Nothing else may be asked of it: neither other tiles nor the whole image.
+  BatchBuilder wider(1, EncodeOptions::paper(), {.support = 3});
+  CHECK(contains(message_of([&] { wider.add(scene); }), "outside what was read"));
+  CHECK(contains(message_of([&] { encode_scene(scene, EncodeOptions::paper()); }), "outside what was read"));
+  scene.normal.pop_back();
+  BatchBuilder builder(1, EncodeOptions::paper(), wanted);
+  CHECK(contains(message_of([&] { builder.add(scene); }), "normal"));
+}
+
+TEST_CASE("scenes of two sizes share no batch, with a support or without", "[loader]") {
+  const TempFolder small, large;
+  write_small_set(small.path(), 1, 0, 64);
+  write_small_set(large.path(), 1, 0, 96);
+  for (const std::optional<int64_t> support : {std::optional<int64_t>(), std::optional<int64_t>(0)}) {
+    BatchBuilder builder(2, EncodeOptions::paper(), {.support = support});
+    builder.add(open_dataset(small.path())->load(Split::kTrain, 0));
+    CHECK(contains(message_of([&] { builder.add(open_dataset(large.path())->load(Split::kTrain, 0)); }),
+                   "scenes of a batch need one size"));
+  }
 }
 
 }  // namespace

@@ -103,7 +103,7 @@ inline int parse_mutations(const std::vector<std::byte>& valid, int trials, uint
 
 /// A disc of unit-sphere normals in the middle, light that differs from pixel to pixel, an inner border of
 /// partly covered pixels. `variant` changes the light.
-inline SceneImages small_images(int width, int height, uint32_t variant = 0) {
+inline SceneImages small_images(int width, int height, uint32_t variant = 0, float radius = 0.7F) {
   SceneImages images{.width = width, .height = height};
   Random random(11, Purpose::kTest, 1, variant);
   const auto pixels = static_cast<size_t>(width) * static_cast<size_t>(height);
@@ -113,8 +113,8 @@ inline SceneImages small_images(int width, int height, uint32_t variant = 0) {
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x) {
       const size_t i = static_cast<size_t>(y) * static_cast<size_t>(width) + static_cast<size_t>(x);
-      const float u = (2.0F * (static_cast<float>(x) + 0.5F) / static_cast<float>(width) - 1.0F) / 0.7F;
-      const float v = (1.0F - 2.0F * (static_cast<float>(y) + 0.5F) / static_cast<float>(height)) / 0.7F;
+      const float u = (2.0F * (static_cast<float>(x) + 0.5F) / static_cast<float>(width) - 1.0F) / radius;
+      const float v = (1.0F - 2.0F * (static_cast<float>(y) + 0.5F) / static_cast<float>(height)) / radius;
       const float r2 = u * u + v * v;
       if (r2 < 1.0F) {
         const float z = std::sqrt(1.0F - r2);
@@ -155,11 +155,12 @@ inline SceneRecord small_record(const std::string& id, uint32_t variant = 0) {
 }
 
 /// Writes a whole data set of ours with scenes of size x size pixels.
-inline void write_small_set(const std::filesystem::path& root, int train, int test, int size = 32) {
+inline void write_small_set(const std::filesystem::path& root, int train, int test, int size = 32,
+                            float radius = 0.7F) {
   std::vector<SceneRecord> records;
   for (int i = 0; i < train + test; ++i) {
     SceneRecord record = small_record(std::to_string(i), static_cast<uint32_t>(i));
-    write_scene(root, i, small_images(size, size, static_cast<uint32_t>(i)), record);
+    write_scene(root, i, small_images(size, size, static_cast<uint32_t>(i), radius), record);
     records.push_back(record);
   }
   write_scene_index(root / "train.jsonl", {records.begin(), records.begin() + train});
