@@ -12,6 +12,7 @@ void add_bench(CLI::App& app, Outcome&) {
   add_bench_layers(*bench);
   add_bench_memory(*bench);
   add_bench_net(*bench);
+  add_bench_runs(*bench);
   add_bench_skip(*bench);
   add_bench_step(*bench);
   add_bench_stress(*bench);

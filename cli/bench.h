@@ -11,6 +11,7 @@ void add_bench_memory(CLI::App& bench);
 void add_bench_net(CLI::App& bench);
 void add_bench_noise(CLI::App& bench);
 void add_bench_render(CLI::App& bench);
+void add_bench_runs(CLI::App& bench);
 void add_bench_skip(CLI::App& bench);
 void add_bench_step(CLI::App& bench);
 void add_bench_stress(CLI::App& bench);

@@ -90,8 +90,8 @@ def measure_ours(program, data, seconds):
     result = {}
     for line in output.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 5 and cells[0] in ("1", "2"):
-            result[int(cells[0]), int(cells[1])] = (float(cells[2]), float(cells[3]) / 1e3, float(cells[4]))
+        if len(cells) == 7 and cells[0] in ("1", "2") and cells[1] == "whole":
+            result[int(cells[0]), int(cells[2])] = (float(cells[3]), float(cells[4]) / 1e3, float(cells[5]))
     return result
 
 

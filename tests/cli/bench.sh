@@ -149,7 +149,6 @@ for weights in nowhere lacking; do
 done
 expect "$folder/error.txt" 'missing: model.1.bias (8)'
 
-# Memory: a row of each batch and way, but no training on a single vector.
 # Skipping: less work, less memory, fewer bytes; nothing is gained at 100 %.
 "$opaline" bench skip --net normal --size 64 --width 8 --batch 2 --repeats 1 --mask 0.05 1 --plot "$folder/skip.svg" > "$folder/skip.txt"
 expect "$folder/skip.txt" '| 100 % | 100.0 % |'
@@ -171,6 +170,36 @@ PYTHON
 if "$opaline" bench skip --net cascade >"$folder/skip.txt" 2>&1; then fail "bench skip trained a cascade"; fi
 expect "$folder/skip.txt" '--forward'
 
+# Runs: groups of seeds, by their logs.
+for name in a1 a2 b1; do
+  mkdir -p "$folder/$name"
+  skip=none
+  [[ $name == b* ]] && skip=support
+  printf '[model]\nskip = "%s"\n[train]\nseed = %s\n' "$skip" "${name:1}" > "$folder/$name/config.toml"
+  for epoch in 0 1; do
+    error=$((10 * (2 - epoch) + ${name:1}))
+    printf '{"event":"epoch","stage":1,"epoch":%s,"wall":{"seconds":2.5}}\n' "$epoch"
+    printf '{"event":"eval","stage":1,"epoch":%s,"release":{"g":null},"angular_degrees":%s}\n' "$epoch" "$error"
+  done > "$folder/$name/metrics.jsonl"
+done
+"$opaline" bench runs "$folder"/{a1,a2,b1} --plot "$folder/runs.svg" > "$folder/runs.txt"
+expect "$folder/runs.txt" '^| skip = none | 2 | 5 | .* 11.5 ± 0.71 |'
+expect "$folder/runs.txt" '^| skip = support | 1 | 5 | .* 11 |'
+"$opaline" bench runs "$folder"/{a1,a2,b1} --json > "$folder/runs.json"
+python3 - "$folder" <<'PYTHON'
+import json, pathlib, sys
+import xml.etree.ElementTree
+folder = pathlib.Path(sys.argv[1])
+xml.etree.ElementTree.parse(folder / "runs.svg")
+first, second = json.loads((folder / "runs.json").read_text())
+assert [e["seconds"] for e in first["evaluations"]] == [2.5, 5.0], first
+assert [e["angular_degrees"]["mean"] for e in second["evaluations"]] == [21, 11], second
+PYTHON
+sed -i '$d' "$folder/a2/metrics.jsonl"
+if "$opaline" bench runs "$folder"/{a1,a2} >/dev/null 2>"$folder/error.txt"; then fail "bench runs took an unfinished run"; fi
+expect "$folder/error.txt" 'has it ended'
+
+# Memory: a row of each batch and way, but no training on a single vector.
 "$opaline" bench memory --net stage1 --size 32 --width 8 --batch 1 2 > "$folder/memory.txt"
 expect "$folder/memory.txt" '^| 2 | training | [0-9.]* | [0-9.]* | [0-9.]* | [0-9.]* | [0-9.]* |'
 "$opaline" bench memory --net stage1 --size 32 --width 8 --batch 1 2 --json > "$folder/memory.json"
