@@ -13,8 +13,9 @@ body { font: 15px/1.5 system-ui, "DejaVu Sans", sans-serif; color: #1c2733; back
 main { max-width: 1320px; margin: 0 auto; padding: 24px; }
 h1 { font-size: 26px; margin: 0 0 4px; }
 h2 { font-size: 19px; margin: 0 0 12px; }
-section { background: #fff; border: 1px solid #dde3e9; border-radius: 8px; padding: 18px 22px; margin-top: 18px; }
+section { background: #fff; border: 1px solid #dde3e9; border-radius: 8px; padding: 18px 22px; margin-top: 18px; overflow-x: auto; }
 p.sub { margin: 0 0 8px; color: #5a6876; }
+.cards + table { font-size: 14px; } .cards + table th, .cards + table td { padding: 5px 8px; }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 10px; margin-bottom: 16px; }
 .card { border: 1px solid #dde3e9; border-radius: 8px; padding: 8px 9px; }
 .card b { display: block; font-size: 24px; }
@@ -37,7 +38,8 @@ table.small { font-size: 11px; margin-top: 4px; } table.small th, table.small td
 .chart .mark { stroke: #8b98a5; stroke-dasharray: 4 4; } .chart .reference { stroke: #b3372f; stroke-dasharray: 5 4; }
 .scene { display: flex; flex-wrap: wrap; gap: 8px; align-items: flex-start; padding: 10px 0; border-top: 1px solid #e6ebf0; }
 .facts { flex: none; width: 262px; font-size: 13px; }
-figure { margin: 0; } figure img { width: 126px; height: auto; display: block; border: 1px solid #dde3e9; image-rendering: pixelated; }
+.scene figure { flex: 1 1 96px; max-width: 128px; }
+figure { margin: 0; } figure img { width: 100%; max-width: 126px; height: auto; display: block; border: 1px solid #dde3e9; image-rendering: pixelated; }
 figcaption { font-size: 11px; color: #5a6876; text-align: center; }
 .legend { font-size: 12px; color: #5a6876; margin-right: 24px; }
 .legend i { display: inline-block; width: 120px; height: 10px; margin: 0 4px; border-radius: 2px; }

@@ -77,10 +77,11 @@ Measured measure_run(const RunFolder& run, const RunConfig& config, const Report
 std::string describe(const RunConfig& config) {
   std::vector<std::string_view> inputs;
   for (const InputKind kind : config.model.encode.inputs) inputs.push_back(to_string(kind));
-  return fmt::format("{} variant, width {}, build size {}, inputs {}{}; batch {} in micro-batches of {}",
+  return fmt::format("{} variant, width {}, build size {}, inputs {}{}{}; batch {} in micro-batches of {}",
                      config.model.variant == Variant::kPaper ? "paper" : "release", config.model.width,
                      config.model.image_size, fmt::join(inputs, " + "),
-                     config.model.reconstruction ? ", with reconstruction" : "", config.train.batch,
+                     config.model.reconstruction ? ", with reconstruction" : "",
+                     config.model.skip == Skip::kSupport ? ", on the object's tiles" : "", config.train.batch,
                      config.train.micro_batch);
 }
 
