@@ -125,8 +125,8 @@ class BatchBuilder {
   Batch take();
 
  private:
-  void add_whole(const Scene& scene, const Shot& shot);
-  void add_sites(const Scene& scene, const Shot& shot);
+  float* add_row(size_t field, const std::string& id, const Shape& shape);
+  float* add_part(size_t field, const std::string& id, const Shape& shape, Sample& part);
 
   int64_t samples_;
   EncodeOptions options_;

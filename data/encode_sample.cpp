@@ -39,9 +39,9 @@ constexpr std::array<Field, kFieldCount> kFields = {
      {"pure-BSDF images", &Sample::bsdf, &Batch::bsdf},
      {"polarised images", &Sample::polarised, &Batch::polarised}}};
 
-/// Whether a field has pixels.
-bool is_image(size_t field) {
-  return field != kIllumination && field != kSss;
+/// Whether a field has as many pixels as the support, where there is one.
+bool is_ragged(size_t field) {
+  return field != kInput && field != kIllumination && field != kSss;
 }
 
 void check_scene(const Scene& scene) {
@@ -169,23 +169,6 @@ void fill(const Scene& scene, const EncodeOptions& options, const Shot& shot, co
   }
 }
 
-/// Encodes one scene, of whose images but the input only the sites are made where there are some.
-Sample encode_sites(const Scene& scene, const EncodeOptions& options, const EncodeWanted& wanted,
-                    const Shot& shot, const std::shared_ptr<const ActiveSites>& sites) {
-  Sample sample;
-  sample.id = scene.id;
-  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options, wanted, sites.get());
-  std::array<float*, kFieldCount> to{};
-  for (size_t i = 0; i < kFieldCount; ++i) {
-    if (shapes[i].empty()) continue;
-    Tensor& tensor = sample.*kFields[i].sample;
-    tensor = Tensor(shapes[i]);
-    to[i] = tensor.data<float>();
-  }
-  fill(scene, options, shot, sites.get(), to);
-  return sample;
-}
-
 /// Throws Error unless a scene of such fields fits the batch's first one.
 void require_same(const std::string& first_id, const Shape& first, const std::string& id, const Shape& shape,
                   std::string_view name) {
@@ -202,7 +185,7 @@ Shape shape_or_none(const Tensor& tensor) {
   return tensor.defined() ? tensor.shape() : Shape{};
 }
 
-/// One after the other along the first dimension, after `shape` has been given to the whole.
+/// A field of all samples, one after the other, as one tensor of `shape`.
 Tensor join(std::span<const Sample> samples, Tensor Sample::*field, const Shape& shape) {
   Tensor joined(shape, (samples.front().*field).dtype());
   std::byte* to = joined.bytes();
@@ -214,10 +197,9 @@ Tensor join(std::span<const Sample> samples, Tensor Sample::*field, const Shape&
   return joined;
 }
 
-/// The shape of all samples' tensors stacked.
-Shape stacked(const Tensor& one, size_t samples) {
-  Shape shape = one.shape();
-  shape.insert(shape.begin(), static_cast<int64_t>(samples));
+/// The shape of so many tensors of one shape, stacked.
+Shape stacked(Shape shape, int64_t samples) {
+  shape.insert(shape.begin(), samples);
   return shape;
 }
 
@@ -233,7 +215,18 @@ bool needs_whole_image(const EncodeOptions& options, const EncodeWanted& wanted)
 Sample encode_scene(const Scene& scene, const EncodeOptions& options, const EncodeWanted& wanted,
                     const Shot& shot) {
   check_scene(scene);
-  return encode_sites(scene, options, wanted, shot, nullptr);
+  Sample sample;
+  sample.id = scene.id;
+  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options, wanted, nullptr);
+  std::array<float*, kFieldCount> to{};
+  for (size_t i = 0; i < kFieldCount; ++i) {
+    if (shapes[i].empty()) continue;
+    Tensor& tensor = sample.*kFields[i].sample;
+    tensor = Tensor(shapes[i]);
+    to[i] = tensor.data<float>();
+  }
+  fill(scene, options, shot, nullptr, to);
+  return sample;
 }
 
 BatchBuilder::BatchBuilder(int64_t samples, const EncodeOptions& options, const EncodeWanted& wanted)
@@ -244,57 +237,64 @@ BatchBuilder::BatchBuilder(int64_t samples, const EncodeOptions& options, const 
 void BatchBuilder::add(const Scene& scene, const Shot& shot) {
   if (size() == samples_) fail("make_batch", "scene {} comes after all {} samples", scene.id, samples_);
   check_scene(scene);
-  if (wanted_.support) {
-    add_sites(scene, shot);
-  } else {
-    add_whole(scene, shot);
+  std::shared_ptr<const ActiveSites> sites;
+  if (wanted_.support) sites = sites_of(scene, *wanted_.support);
+  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options_, wanted_, sites.get());
+  std::array<float*, kFieldCount> to{};
+  Sample ragged;
+  for (size_t i = 0; i < kFieldCount; ++i) {
+    const Shape& shape = shapes[i];
+    if (sites && is_ragged(i)) {
+      to[i] = add_part(i, scene.id, shape, ragged);
+    } else {
+      to[i] = add_row(i, scene.id, shape);
+    }
+  }
+  fill(scene, options_, shot, sites.get(), to);
+  if (sites) {
+    masks_.insert(masks_.end(), scene.mask.begin(), scene.mask.end());
+    ragged_.push_back(std::move(ragged));
   }
   batch_.ids.push_back(scene.id);
 }
 
-void BatchBuilder::add_whole(const Scene& scene, const Shot& shot) {
-  const std::array<Shape, kFieldCount> shapes = shapes_of(scene, options_, wanted_, nullptr);
-  std::array<float*, kFieldCount> to{};
-  for (size_t i = 0; i < kFieldCount; ++i) {
-    Tensor& tensor = batch_.*kFields[i].batch;
-    if (batch_.ids.empty() && !shapes[i].empty()) {
-      Shape shape = shapes[i];
-      shape.insert(shape.begin(), samples_);
-      tensor = Tensor(shape);
-    }
-    const Shape one = tensor.defined() ? Shape(tensor.shape().begin() + 1, tensor.shape().end()) : Shape{};
-    if (!batch_.ids.empty()) require_same(batch_.ids.front(), one, scene.id, shapes[i], kFields[i].name);
-    if (tensor.defined()) to[i] = tensor.data<float>() + size() * numel(one);
+/// Where a scene's values of a field go in the batch's tensor; null where there are none.
+float* BatchBuilder::add_row(size_t field, const std::string& id, const Shape& shape) {
+  Tensor& tensor = batch_.*kFields[field].batch;
+  if (batch_.ids.empty()) {
+    if (!shape.empty()) tensor = Tensor(stacked(shape, samples_));
+  } else {
+    const Shape first = tensor.defined() ? Shape(tensor.shape().begin() + 1, tensor.shape().end()) : Shape{};
+    require_same(batch_.ids.front(), first, id, shape, kFields[field].name);
   }
-  fill(scene, options_, shot, nullptr, to);
+  return tensor.defined() ? tensor.data<float>() + size() * numel(shape) : nullptr;
 }
 
-void BatchBuilder::add_sites(const Scene& scene, const Shot& shot) {
-  Sample sample = encode_sites(scene, options_, wanted_, shot, sites_of(scene, *wanted_.support));
-  for (size_t i = 0; i < kFieldCount && !ragged_.empty(); ++i) {
-    Shape first = shape_or_none(ragged_.front().*kFields[i].sample);
-    Shape shape = shape_or_none(sample.*kFields[i].sample);
-    // Their sites may be more or fewer, but the whole input says that they are of one size.
-    if (!first.empty() && !shape.empty() && is_image(i) && i != kInput) first.front() = shape.front();
-    require_same(ragged_.front().id, first, sample.id, shape, kFields[i].name);
+/// Where they go until all samples are there.
+float* BatchBuilder::add_part(size_t field, const std::string& id, const Shape& shape, Sample& part) {
+  if (!ragged_.empty()) {
+    // There may be more or fewer sites than in the first; the input, which is whole, says whether sizes fit.
+    Shape first = shape_or_none(ragged_.front().*kFields[field].sample);
+    if (!first.empty() && !shape.empty()) first.front() = shape.front();
+    require_same(batch_.ids.front(), first, id, shape, kFields[field].name);
   }
-  masks_.insert(masks_.end(), scene.mask.begin(), scene.mask.end());
-  ragged_.push_back(std::move(sample));
+  if (shape.empty()) return nullptr;
+  Tensor& tensor = part.*kFields[field].sample;
+  tensor = Tensor(shape);
+  return tensor.data<float>();
 }
 
 Batch BatchBuilder::take() {
   if (size() != samples_) fail("make_batch", "{} of {} samples were added", size(), samples_);
   if (!wanted_.support) return std::move(batch_);
-  const Shape& image = ragged_.front().input.shape();
-  const auto sites = support_of(samples_, image[0], image[1], masks_, *wanted_.support);
+  const Shape& image = batch_.input.shape();
+  const auto sites = support_of(samples_, image[1], image[2], masks_, *wanted_.support);
   for (size_t i = 0; i < kFieldCount; ++i) {
     const Tensor& first = ragged_.front().*kFields[i].sample;
     if (!first.defined()) continue;
     Tensor& tensor = batch_.*kFields[i].batch;
-    const bool ragged = is_image(i) && i != kInput;
-    tensor = join(ragged_, kFields[i].sample,
-                  ragged ? Shape{sites->count(), first.size(1)} : stacked(first, ragged_.size()));
-    if (ragged) tensor.set_sites(sites);
+    tensor = join(ragged_, kFields[i].sample, {sites->count(), first.size(1)});
+    tensor.set_sites(sites);
     for (Sample& sample : ragged_) sample.*kFields[i].sample = {};
   }
   return std::move(batch_);
@@ -311,7 +311,8 @@ Batch make_batch(std::span<const Sample> samples) {
                    field.name);
     }
     if (first.defined()) {
-      batch.*field.batch = join(samples, field.sample, stacked(first, samples.size()));
+      batch.*field.batch =
+          join(samples, field.sample, stacked(first.shape(), static_cast<int64_t>(samples.size())));
     }
   }
   return batch;
