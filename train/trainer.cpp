@@ -337,7 +337,7 @@ void Trainer::stop_on(const StepFailure& failure) {
   const fs::path folder = save_checkpoint(options_.run.failures(), state_, stage_->cascade(), stage_->adam());
   TensorMap batch;
   const auto keep = [&](const std::string& name, const Tensor& tensor) {
-    if (tensor.defined()) batch[name] = to_dense(tensor);
+    if (tensor.defined()) batch[name] = tensor.sites() ? to_dense(tensor) : tensor;
   };
   keep("input", failure.batch.input);
   keep("normal", failure.batch.normal);
