@@ -89,7 +89,8 @@ std::map<std::string, std::pair<std::string, std::string>> differences(const std
     const size_t arrow = line.find(" -> ", colon);
     std::string before = line.substr(colon + 2, arrow - colon - 2);
     std::string after = line.substr(arrow + 4);
-    for (std::string* text : {&before, &after}) std::erase(*text, '\'');
+    for (std::string* text : {&before, &after})
+      std::erase_if(*text, [](char c) { return c == '\'' || c == '"'; });
     result.emplace(line.substr(0, colon), std::pair(std::move(before), std::move(after)));
   }
   return result;
