@@ -44,7 +44,7 @@ struct ModelConfig {
   int64_t width = 64;
   EncodeOptions encode = EncodeOptions::paper();  ///< the variant's, with the inputs of the config
   bool reconstruction = true;
-  Skip skip = Skip::kNone;             ///< where the image networks compute (models/cascade.h)
+  Skip skip = Skip::kSupport;          ///< where the image networks compute (models/cascade.h)
   int64_t skip_dilation = 0;           ///< tiles around the mask's that are computed too
   int64_t illumination_downscale = 1;  ///< of the images that the illumination network sees
 };

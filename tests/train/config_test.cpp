@@ -153,9 +153,9 @@ TEST_CASE("exposure, sensor and damage policy come from [data], off by default")
 
 TEST_CASE("what the networks skip is a model's own") {
   const RunConfig plain = parse_run_config("", "test.toml");
-  CHECK(cascade_options(plain, 2).skip == Skip::kNone);
-  const RunConfig config = parse_run_config("[model]\nskip = 'support'\nskip_dilation = 1\n", "test.toml");
-  CHECK(cascade_options(config, 2).skip == Skip::kSupport);
+  CHECK(cascade_options(plain, 2).skip == Skip::kSupport);
+  const RunConfig config = parse_run_config("[model]\nskip = 'none'\nskip_dilation = 1\n", "test.toml");
+  CHECK(cascade_options(config, 2).skip == Skip::kNone);
   CHECK(cascade_options(config, 2).dilation == 1);
   CHECK(config_differences(plain.text, config.text).size() == 2);
   CHECK_THAT(error_of("[model]\nskip = 'mask'\n"), Contains("support"));
