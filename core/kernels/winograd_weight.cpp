@@ -48,54 +48,92 @@ class WeightSums {
                     });
   }
 
-  /// sums (+)= products of the first `count` tiles of a block, for a frequency and a panel of inputs.
+  /// Where the sums of a range of outputs and of inputs lie, next to each other.
+  struct Sums {
+    T* data;
+    int64_t frequency, output;  ///< from one to the next
+    int64_t first_output, last_output, first_input, last_input;
+  };
+  /// All sums, in one array.
+  Sums all(T* data) const { return {data, sums_frequency(), blocks_.total(), 0, s_.out, 0, blocks_.total()}; }
+
+  /// sums (+)= products of the first `count` tiles of a block, for a frequency and the inputs of a panel, all
+  /// of which are among those of `sums`.
   void multiply(int64_t f, int64_t panel, int64_t count, const T* a, const T* b, bool accumulate,
-                T* sums) const {
+                const Sums& sums) const {
     const Tiles<T>& gemm = tiles<T>();
     OuterTile<T> t;
     t.a_stride = rows_;
     t.b_stride = width_;
-    t.c_stride = blocks_.total();
+    t.c_stride = sums.output;
     t.columns = std::min(width_, blocks_.total() - panel * width_);
     constexpr int64_t kPiece = 128;  // tiles whose panel stays in the innermost cache
     for (int64_t first = 0; first < count; first += kPiece) {
       t.b = b + f * b_.frequency + panel * b_.panel + first * width_;
       t.pixels = std::min(kPiece, count - first);
       t.accumulate = accumulate || first > 0;
-      for (int64_t o = 0; o < s_.out; o += gemm.rows) {
+      for (int64_t o = sums.first_output; o < sums.last_output; o += gemm.rows) {
         t.a = a + f * a_.frequency + o / rows_ * a_.panel + o % rows_ + first * rows_;
-        t.rows = std::min(gemm.rows, s_.out - o);
-        t.c = sums + f * sums_frequency() + o * blocks_.total() + panel * width_;
+        t.rows = std::min(gemm.rows, sums.last_output - o);
+        t.c = sums.data + f * sums.frequency + (o - sums.first_output) * sums.output + panel * width_ -
+              sums.first_input;
         gemm.outer(t);
       }
     }
   }
 
-  /// The taps' gradient from the sums.
-  void finish(const T* sums, T* dweight) const {
+  /// The taps' gradient from the sums, for an output; `filters` has room for as many as a vector has lanes.
+  void finish(const Sums& sums, int64_t o, T* filters, T* dweight) const {
     const int64_t kernel = s_.kernel_h * s_.kernel_w, taps = k_.taps * k_.taps;
-    parallel_blocks(s_.out, 4, [&](int64_t first, int64_t last) {
-      const Scratch<T> filters(k_.lanes * taps);
-      for (int64_t o = first; o < last; ++o) {
-        for (int64_t i = 0; i < s_.in; i += k_.lanes) {
-          const int64_t count = std::min(k_.lanes, s_.in - i);
-          T* const to = dweight + (o * s_.in + i) * kernel;
-          for (int64_t block = 0; block < blocks_.count(); ++block) {
-            const T* const from = sums + o * blocks_.total() + block * blocks_.channels + i;
-            const bool whole = kernel == taps;
-            k_.weight_gradient(from, sums_frequency(), count, whole ? to : filters.data(), taps);
-            for (int64_t t = 0; t < taps && !whole; ++t) {
-              const int64_t tap = blocks_.tap(block, t);
-              if (tap < 0) continue;
-              for (int64_t j = 0; j < count; ++j) to[j * kernel + tap] = filters.data()[j * taps + t];
-            }
-          }
-        }
+    for (int64_t input = sums.first_input; input < sums.last_input; input += k_.lanes) {
+      const int64_t block = input / blocks_.channels, i = input % blocks_.channels;
+      const int64_t count = std::min(k_.lanes, s_.in - i);
+      if (count <= 0) continue;
+      const T* const from = sums.data + (o - sums.first_output) * sums.output + input - sums.first_input;
+      T* const to = dweight + (o * s_.in + i) * kernel;
+      const bool whole = kernel == taps;
+      k_.weight_gradient(from, sums.frequency, count, whole ? to : filters, taps);
+      for (int64_t t = 0; t < taps && !whole; ++t) {
+        const int64_t tap = blocks_.tap(block, t);
+        if (tap < 0) continue;
+        for (int64_t j = 0; j < count; ++j) to[j * kernel + tap] = filters[j * taps + t];
       }
+    }
+  }
+  void finish(const Sums& sums, T* dweight) const {
+    parallel_blocks(s_.out, 4, [&](int64_t first, int64_t last) {
+      const Scratch<T> filters(filters_size());
+      for (int64_t o = first; o < last; ++o) finish(sums, o, filters.data(), dweight);
+    });
+  }
+
+  /// The taps' gradient of the first `count` tiles of a block: squares of channels are summed over all
+  /// frequencies and turned at once, so that sums never leave the core that makes them.
+  void multiply_and_finish(int64_t count, const T* a, const T* b, T* dweight) const {
+    constexpr int64_t kSumBytes = 256 << 10;
+    const int64_t most = kSumBytes / (frequencies_ * width_ * static_cast<int64_t>(sizeof(T)));
+    const int64_t outputs = std::max(most / rows_, int64_t{1}) * rows_;
+    const int64_t units = (s_.out + outputs - 1) / outputs;
+    parallel_for(panels() * units, [&](int64_t unit) {
+      const int64_t panel = unit / units, first = unit % units * outputs;
+      const int64_t last = std::min(first + outputs, s_.out);
+      const int64_t frequency = (last - first) * width_ + k_.lanes;
+      const Scratch<T> values(frequencies_ * frequency), filters(filters_size());
+      const Sums sums{values.data(),
+                      frequency,
+                      width_,
+                      first,
+                      last,
+                      panel * width_,
+                      std::min((panel + 1) * width_, blocks_.total())};
+      for (int64_t f = 0; f < frequencies_; ++f) multiply(f, panel, count, a, b, false, sums);
+      for (int64_t o = first; o < last; ++o) finish(sums, o, filters.data(), dweight);
     });
   }
 
  private:
+  int64_t filters_size() const { return k_.lanes * k_.taps * k_.taps; }
+
   const WinogradKernels<T>& k_;
   const ConvShape& s_;
   KernelBlocks blocks_;
@@ -135,7 +173,7 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
         for (int64_t f = 0; f < work.frequencies(); ++f) {
           for (int64_t p = 0; p < work.panels(); ++p) {
             work.multiply(f, p, count, a.data(), b.data(), block > group * per_group,
-                          sums.data() + group * work.sums_size());
+                          work.all(sums.data() + group * work.sums_size()));
           }
         }
       }
@@ -149,7 +187,7 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
         sums.data()[i] = static_cast<T>(total);
       }
     });
-    work.finish(sums.data(), dweight);
+    work.finish(work.all(sums.data()), dweight);
     return;
   }
   // Many channels: threads share the sums, each owner of some frequencies, and transform every block
@@ -159,16 +197,24 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
   const int64_t block = std::min(kSharedBlock, round_up(tile_count, kTilesPerUnit));
   const WeightSums<T> work(k, s, x, dy, sites, block);
   const int64_t count = (tile_count + block - 1) / block;
-  const Scratch<T> a(work.a_size()), b(work.b_size()), sums(work.sums_size());
-  const Scratch<double> total(count > kPerFlush ? work.sums_size() : 0);
-  for (int64_t i = 0; i < count; ++i) {
-    const int64_t first = i * block, tiles = std::min(block, tile_count - first);
+  const Scratch<T> a(work.a_size()), b(work.b_size());
+  const auto transform_block = [&](int64_t first, int64_t tiles) {
     parallel_blocks(tiles, kTilesPerUnit, [&](int64_t begin, int64_t end) {
       work.transform(first + begin, end - begin, begin, a.data(), b.data());
     });
+  };
+  if (count == 1) {
+    transform_block(0, tile_count);
+    return work.multiply_and_finish(tile_count, a.data(), b.data(), dweight);
+  }
+  const Scratch<T> sums(work.sums_size());
+  const Scratch<double> total(count > kPerFlush ? work.sums_size() : 0);
+  for (int64_t i = 0; i < count; ++i) {
+    const int64_t first = i * block, tiles = std::min(block, tile_count - first);
+    transform_block(first, tiles);
     parallel_for(work.frequencies() * work.panels(), [&](int64_t unit) {
       work.multiply(unit / work.panels(), unit % work.panels(), tiles, a.data(), b.data(), i % kPerFlush > 0,
-                    sums.data());
+                    work.all(sums.data()));
     });
     const bool last = i + 1 == count;
     if (count <= kPerFlush || ((i + 1) % kPerFlush != 0 && !last)) continue;
@@ -179,7 +225,7 @@ void winograd_weight_gradient(int outputs, const ConvShape& s, Parts<const T> x,
       }
     });
   }
-  work.finish(sums.data(), dweight);
+  work.finish(work.all(sums.data()), dweight);
 }
 
 template void winograd_weight_gradient(int, const ConvShape&, Parts<const float>, const float*, float*,
