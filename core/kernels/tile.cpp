@@ -24,10 +24,6 @@ constexpr int kRows = 8;
 constexpr int kRows = 4;
 #endif
 
-// Products summed in registers before they go to memory. A longer chain of roundings would cost digits; and a
-// piece of the panel as long as this stays in the innermost cache while all rows pass by.
-constexpr int64_t kChain = 128;
-
 /// A piece of a panel: positions [begin, end) of the runs [first, last).
 struct Piece {
   int64_t first, last, begin, end;
@@ -142,7 +138,7 @@ void run_dot(const DotTile<T>& tile, int64_t vectors) {
   // Several short runs make a piece, or a part of a long one; parts are as even as they can be.
   const int64_t runs_each = tile.run < kChain ? kChain / (tile.run < 1 ? 1 : tile.run) : 1;
   const int64_t parts = (tile.run + kChain - 1) / kChain < 1 ? 1 : (tile.run + kChain - 1) / kChain;
-  bool start = true;
+  bool start = !tile.accumulate;
   for (int64_t q = 0; q < tile.runs; q += runs_each) {
     const int64_t last = q + runs_each < tile.runs ? q + runs_each : tile.runs;
     for (int64_t part = 0; part < parts; ++part) {

@@ -7,10 +7,14 @@
 
 namespace opaline::kernels {
 
+/// Products summed in registers before they go to memory. A longer chain of roundings would cost digits; and
+/// a piece of a panel as long as this stays in the innermost cache while all rows pass by.
+constexpr int64_t kChain = 128;
+
 /// c[l][i][j] = bias[j] + sum_{q < runs} sum_{k < run} a[l*a_line + i*a_stride + q*a_run_stride + k] *
 /// b[q*run + k][j] for l < lines, i < rows, j < columns. For a convolution l is an output row, i a pixel of
 /// it, q the kernel's row, and k runs over (kernel column, channel), which are contiguous in a channels-last
-/// image.
+/// image. Sums are made in chains of kChain products: one that is cut between chains has the same bits.
 template <class T>
 struct DotTile {
   const T* a = nullptr;
@@ -26,7 +30,8 @@ struct DotTile {
   int64_t c_stride = 0;
   int64_t lines = 1;
   int64_t rows = 0;
-  int64_t columns = 0;  ///< at most the panel's width
+  int64_t columns = 0;      ///< at most the panel's width
+  bool accumulate = false;  ///< onto what is there, without the bias
 };
 
 /// c[i][j] = sum_{x < pixels} a[x*a_stride + i] * b[x*b_stride + j] for i < rows, j < columns, added to what

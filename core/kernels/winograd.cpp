@@ -31,9 +31,9 @@ struct Filters {
   int64_t in, width, panels, frequencies, frequency;
   Scratch<T> values;
 
-  Filters(const WinogradKernels<T>& kernels, const FilterTaps<T>& taps, int64_t panels_)
+  Filters(const WinogradKernels<T>& kernels, int64_t inputs, int64_t panels_)
       : k(kernels),
-        in(round_up(taps.blocks.total(), k.lanes)),
+        in(round_up(inputs, k.lanes)),
         width(2 * k.lanes),
         panels(panels_),
         frequencies(k.tile * k.tile),
@@ -42,28 +42,36 @@ struct Filters {
 
   const T* panel(int64_t f, int64_t p) const { return values.data() + f * frequency + p * in * width; }
 
-  /// Transforms the inputs [begin, end) for the outputs from `output` on into panel `p`.
-  void fill(const FilterTaps<T>& taps, int64_t output, int64_t p, int64_t begin, int64_t end) const {
+  /// Transforms the inputs [begin, end) for the outputs from `output` on into panel `p`, which begins with
+  /// the input `first`.
+  void fill(const FilterTaps<T>& taps, int64_t output, int64_t p, int64_t first, int64_t begin,
+            int64_t end) const {
     const KernelBlocks& blocks = taps.blocks;
     const int64_t kernel = blocks.side * blocks.side, valid = std::min(width, taps.out - output);
-    const Scratch<T> filters((kernel + 1) * width);
-    const T* const zeros = filters.data() + kernel * width;
-    std::fill_n(filters.data() + kernel * width, width, T{});
+    // Filters of neighbouring inputs that follow each other are turned together: vectors are full.
+    const int64_t together = taps.in_stride == kernel ? k.lanes : 1;
+    const Scratch<T> filters((together * kernel + 1) * width);
+    const T* const zeros = filters.data() + together * kernel * width;
+    std::fill_n(filters.data() + together * kernel * width, width, T{});
     std::vector<const T*> at(static_cast<size_t>(k.taps * k.taps));
-    for (int64_t i = begin; i < end; ++i) {
+    int64_t turned = 0, left = 0;  // of the filters in hand
+    for (int64_t i = begin; i < end; ++i, ++turned, --left) {
       const int64_t block = i / blocks.channels, channel = i % blocks.channels;
       const bool exists = block < blocks.count() && channel < taps.in;
-      if (exists) {
+      if (exists && left <= 0) {
+        turned = 0;
+        left = std::min({together, taps.in - channel, end - i});
         transpose(taps.weight + channel * taps.in_stride + output * taps.out_stride, taps.out_stride, valid,
-                  kernel, filters.data(), width, width);
+                  left * kernel, filters.data(), width, width);
       }
+      const T* const filter = filters.data() + turned * kernel * width;
       for (int64_t t = 0; t < k.taps * k.taps; ++t) {
         const int64_t tap = exists ? blocks.tap(block, t) : -1;
         at[static_cast<size_t>(t)] =
-            tap < 0 ? zeros : filters.data() + (taps.backwards ? kernel - 1 - tap : tap) * width;
+            tap < 0 ? zeros : filter + (taps.backwards ? kernel - 1 - tap : tap) * width;
       }
       for (int64_t j = 0; j < width; j += k.lanes) {
-        k.weight(at.data(), j, values.data() + (p * in + i) * width + j, frequency);
+        k.weight(at.data(), j, values.data() + (p * in + i - first) * width + j, frequency);
       }
     }
   }
@@ -91,22 +99,24 @@ std::vector<T> padded(const T* bias, int64_t out, int64_t width) {
   return values;
 }
 
-/// product = transformed tiles times transformed filters, for every frequency. `in` and `out` tell where the
-/// values of the first tile lie; tiles follow each other.
+/// product = transformed tiles times transformed filters, for every frequency, or more of it where the
+/// filters begin with an input `first` > 0. `in` and `out` tell where the values of the first tile lie; tiles
+/// follow each other.
 template <class T>
-void multiply(const Filters<T>& filters, int64_t tiles_count, const T* transformed, const Frequencies& in,
-              T* product, const Frequencies& out) {
+void multiply(const Filters<T>& filters, int64_t first, int64_t count, int64_t tiles_count,
+              const T* transformed, const Frequencies& in, T* product, const Frequencies& out) {
   DotTile<T> t;
   t.a_stride = in.width;
   t.a_run_stride = in.panel;
-  t.runs = filters.in / in.width;
+  t.runs = count / in.width;
+  t.accumulate = first > 0;
   t.run = in.width;
   t.c_stride = filters.width;
   t.columns = filters.width;
   t.rows = tiles_count;
   for (int64_t f = 0; f < filters.frequencies; ++f) {
     for (int64_t p = 0; p < filters.panels; ++p) {
-      t.a = transformed + f * in.frequency;
+      t.a = transformed + f * in.frequency + first / in.width * in.panel;
       t.b = filters.panel(f, p);
       t.c = product + f * out.frequency + p * out.panel;
       tiles<T>().dot(t, 2);
@@ -184,12 +194,12 @@ template <class T>
 void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Source<T>>& x,
                        const FilterTaps<T>& taps, const Outputs<T>& outputs) {
   const TileGrid& grid = outputs.grid;
-  const Filters<T> filters(k, taps, panels_of(k, taps.out));
+  const Filters<T> filters(k, taps.blocks.total(), panels_of(k, taps.out));
   constexpr int64_t kInputsPerUnit = 8;
   const int64_t units = (filters.in + kInputsPerUnit - 1) / kInputsPerUnit;
   parallel_for(filters.panels * units, [&](int64_t unit) {
     const int64_t p = unit / units, begin = unit % units * kInputsPerUnit;
-    filters.fill(taps, p * filters.width, p, begin, std::min(filters.in, begin + kInputsPerUnit));
+    filters.fill(taps, p * filters.width, p, 0, begin, std::min(filters.in, begin + kInputsPerUnit));
   });
   const int64_t out = filters.panels * filters.width, bytes = static_cast<int64_t>(sizeof(T));
   const int64_t block = std::min(tiles_per_block(filters.frequencies * (filters.in + out) * bytes,
@@ -201,7 +211,7 @@ void convolve_by_tiles(const WinogradKernels<T>& k, const std::vector<Source<T>>
     const Scratch<T> in(filters.frequencies * from.frequency), product(filters.frequencies * to.frequency);
     const Scratch<T> patch(k.tile * k.tile * widest(x));
     transform_inputs(k, x, grid, begin, end - begin, patch.data(), in.data(), k.lanes, from);
-    multiply(filters, end - begin, in.data(), from, product.data(), to);
+    multiply(filters, 0, filters.in, end - begin, in.data(), from, product.data(), to);
     outputs.write(product.data(), to, begin, end - begin, 0, taps.out);
   });
 }
@@ -221,13 +231,19 @@ void convolve_by_channels(const WinogradKernels<T>& k, const std::vector<Source<
     transform_inputs(k, x, grid, begin, end - begin, patch.data(), transformed.data() + begin * k.lanes,
                      k.lanes, from);
   });
+  // Few tiles: filters are met as soon as they are transformed, while they are near the core. More would come
+  // from farther than the filters do.
+  const int64_t chunk = grid.count < kChain ? std::min(kChain, in) : in;
   parallel_for(panels_of(k, taps.out), [&](int64_t p) {
-    const Filters<T> filters(k, taps, 1);
+    const Filters<T> filters(k, chunk, 1);
     const int64_t first = p * filters.width;
     const Frequencies to = layout(grid.count, filters.width, filters.width, k.lanes);
     const Scratch<T> product(frequencies * to.frequency);
-    filters.fill(taps, first, 0, 0, in);
-    multiply(filters, grid.count, transformed.data(), from, product.data(), to);
+    for (int64_t begin = 0; begin < in; begin += chunk) {
+      const int64_t end = std::min(begin + chunk, in);
+      filters.fill(taps, first, 0, begin, begin, end);
+      multiply(filters, begin, end - begin, grid.count, transformed.data(), from, product.data(), to);
+    }
     outputs.write(product.data(), to, 0, grid.count, first, std::min(first + filters.width, taps.out));
   });
 }

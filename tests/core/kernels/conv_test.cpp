@@ -103,6 +103,8 @@ std::vector<ConvShape> shapes() {
       shape(1, 36, 36, 160, 136, 1),      // channels enough for shared sums
       shape(2, 9, 10, 40, 300, 1),        // channels enough to go by channels
       shape(2, 7, 8, 290, 38, 1, true),   // the same for the gradient of the input
+      shape(1, 9, 10, 280, 264, 1),       // the same in several chains of inputs
+      shape(1, 26, 26, 150, 260, 1),      // few tiles of 4 x 4, more of 2 x 2
       shape(1, 182, 184, 104, 104, 1),    // so many tiles that their sums go on in double
       shape(0, 4, 4, 16, 16, 1),          // no image
       // Kernels in four blocks of taps.
