@@ -41,8 +41,8 @@ void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c) {
     const int64_t i0 = unit % down * block_m, j0 = unit / down * kBlockN;
     const int64_t rows = std::min(block_m, m - i0), columns = std::min(kBlockN, n - j0);
     const int64_t padded = (columns + width - 1) / width * width;
-    const bool flushes = k > kRows * kPerFlush;
-    const Scratch<T> left(kRows * block_m), right(kRows * padded), sums(rows * padded);
+    const bool flushes = k > kRows * kPerFlush, once = k <= kRows;
+    const Scratch<T> left(kRows * block_m), right(kRows * padded), sums(once ? 0 : rows * padded);
     const Scratch<double> total(flushes ? rows * padded : 0);
     for (int64_t begin = 0, chunk = 0; begin < k; begin += kRows, ++chunk) {
       const int64_t count = std::min(kRows, k - begin);
@@ -61,15 +61,15 @@ void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c) {
       t.a_stride = block_m;
       t.b_stride = width;
       t.pixels = count;
-      t.c_stride = padded;
-      t.columns = width;
+      t.c_stride = once ? n : padded;
       t.accumulate = chunk % kPerFlush != 0;
       for (int64_t j = 0; j < padded; j += width) {
         t.b = right.data() + j * kRows;
+        t.columns = once ? std::min(width, columns - j) : width;
         for (int64_t i = 0; i < rows; i += tile.rows) {
           t.a = left.data() + i;
           t.rows = std::min(tile.rows, rows - i);
-          t.c = sums.data() + i * padded + j;
+          t.c = once ? c + (i0 + i) * n + j0 + j : sums.data() + i * padded + j;
           tile.outer(t);
         }
       }
@@ -79,7 +79,7 @@ void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c) {
         }
       }
     }
-    for (int64_t i = 0; i < rows; ++i) {
+    for (int64_t i = 0; !once && i < rows; ++i) {
       T* const to = c + (i0 + i) * n + j0;
       if (!flushes) {
         std::copy_n(sums.data() + i * padded, columns, to);
@@ -91,6 +91,38 @@ void gemm_tn(int64_t m, int64_t n, int64_t k, const T* a, const T* b, T* c) {
 }
 
 namespace {
+
+/// The same for few rows, which a panel meets as soon as it is packed, while it is near the core.
+template <class T>
+void gemm_few_rows(int64_t m, int64_t n, int64_t k, const T* a, int64_t lda, const MatrixView<T>& b,
+                   const T* bias, T* c) {
+  const Tiles<T>& tile = tiles<T>();
+  const int64_t vectors = tile.vectors_for(n), width = vectors * tile.lanes;
+  parallel_for((n + width - 1) / width, [&](int64_t p) {
+    const int64_t first = p * width, valid = std::min(width, n - first);
+    const Scratch<T> panel(kChain * width), offset(width);
+    if (bias != nullptr)
+      std::fill(std::copy_n(bias + first, valid, offset.data()), offset.data() + width, T{});
+    DotTile<T> t;
+    t.a_stride = lda;
+    t.b = panel.data();
+    t.bias = bias == nullptr ? nullptr : offset.data();
+    t.c = c + first;
+    t.c_stride = n;
+    t.rows = m;
+    t.columns = valid;
+    const int64_t chains = (k + kChain - 1) / kChain;
+    for (int64_t chain = 0; chain < chains; ++chain) {
+      const int64_t begin = chain * k / chains, end = (chain + 1) * k / chains;
+      pack_rows(b.data + begin * b.row_stride + first * b.column_stride, b.row_stride, b.column_stride,
+                end - begin, valid, width, chain + 1 < chains ? end - begin : 0, panel.data());
+      t.a = a + begin;
+      t.run = end - begin;
+      t.accumulate = chain > 0;
+      tile.dot(t, vectors);
+    }
+  });
+}
 
 /// One slice [k0, k1) of the inner dimension; rows of `a` contiguous. Bias only with the first slice.
 template <class T>
@@ -175,6 +207,10 @@ void gemm(int64_t m, int64_t n, int64_t k, const MatrixView<T>& a, const MatrixV
     lda = k;
   }
   constexpr int64_t kSlice = 8192;  // longer sums in T would lose digits: slices are joined in double
+  constexpr int64_t kFewRows = 128, kLeastColumns = 256;
+  if (parallel && k > 0 && k <= kSlice && m <= kFewRows && n >= kLeastColumns) {
+    return gemm_few_rows(m, n, k, rows, lda, b, bias, c);
+  }
   if (k <= kSlice) {
     gemm_slice(m, n, 0, k, rows, lda, b, bias, c, parallel);
     return;

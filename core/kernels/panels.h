@@ -1,6 +1,7 @@
 // Weights as the dot tile reads them.
 #pragma once
 
+#include <hwy/cache_control.h>
 #include <algorithm>
 #include <cstdint>
 #include <vector>
@@ -11,6 +12,28 @@
 #include "core/parallel.h"
 
 namespace opaline::kernels {
+
+/// Rows of a panel: to[r * width + j] = data[r * row_stride + j * column_stride] for r < rows and j < valid,
+/// 0 for valid <= j < width. Asks for memory `ahead` rows on (0 for none), which the next call will read.
+template <class T>
+void pack_rows(const T* data, int64_t row_stride, int64_t column_stride, int64_t rows, int64_t valid,
+               int64_t width, int64_t ahead, T* to) {
+  if (row_stride == 1 && column_stride != 1) {
+    transpose(data, column_stride, valid, rows, to, width, width);
+    return;
+  }
+  constexpr int64_t kLine = 64 / sizeof(T);
+  for (int64_t r = 0; r < rows; ++r) {
+    const T* const from = data + r * row_stride;
+    for (int64_t j = 0; ahead > 0 && j < valid; j += kLine) hwy::Prefetch(from + ahead * row_stride + j);
+    if (column_stride == 1) {
+      std::copy_n(from, valid, to + r * width);
+    } else {
+      for (int64_t j = 0; j < valid; ++j) to[r * width + j] = from[j * column_stride];
+    }
+    std::fill(to + r * width + valid, to + (r + 1) * width, T{});
+  }
+}
 
 /// The weights of a (sub-)convolution as the dot tile wants them: panels of `width` output columns, each
 /// [kernel_h][kernel_w * in][width], zero beyond the last column; biases padded alike.
@@ -45,18 +68,7 @@ struct PackedWeights {
       const int64_t valid = std::min(width, columns - p * width);
       const T* const from = data + begin * row_stride + p * width * column_stride;
       T* const to = values.data() + (p * run + begin) * width;
-      if (row_stride == 1 && column_stride != 1) {
-        transpose(from, column_stride, valid, end - begin, to, width, width);
-        return;
-      }
-      for (int64_t r = 0; r < end - begin; ++r) {
-        if (column_stride == 1) {
-          std::copy_n(from + r * row_stride, valid, to + r * width);
-        } else {
-          for (int64_t j = 0; j < valid; ++j) to[r * width + j] = from[r * row_stride + j * column_stride];
-        }
-        std::fill(to + r * width + valid, to + (r + 1) * width, T{});
-      }
+      pack_rows(from, row_stride, column_stride, end - begin, valid, width, 0, to);
     });
   }
 
