@@ -13,7 +13,7 @@ namespace {
 constexpr std::array kPasses{ConvPass::kForward, ConvPass::kInputGradient, ConvPass::kWeightGradient};
 
 double share(const ConvShape& s) {
-  return static_cast<double>(s.eighths) / 8.0;
+  return static_cast<double>(s.sixteenths) / 16.0;
 }
 
 /// Work of a pass in multiply-adds at the full rate of the machine. Its terms, from measurements of layers of
@@ -29,8 +29,11 @@ double direct_work(const ConvShape& s, ConvPass pass) {
 }
 
 double winograd_work(const ConvShape& s, ConvPass pass, int outputs) {
-  constexpr double kFetch = 500.0, kFilter = 15.0, kSum = 80.0, kTile = 26.0;
-  constexpr int64_t kVector = 16;
+  constexpr double kFetch = 500.0, kFilter = 15.0, kFilterNear = 6.0;
+  constexpr double kFetchSum = 600.0, kSum = 80.0, kSumNear = 16.0, kTile = 26.0;
+  // Where filters and sums stay near the core: winograd.cpp, winograd_weight.cpp.
+  constexpr double kFewTiles = 128.0, kFewSumTiles = 256.0;
+  constexpr int64_t kVector = 16, kManyOutputs = 256;
   const bool backward = pass == ConvPass::kInputGradient;
   const int64_t border = backward && s.reflect ? s.padding : 0;
   const int64_t rows = backward ? s.h + 2 * border : s.out_h(),
@@ -44,7 +47,10 @@ double winograd_work(const ConvShape& s, ConvPass pass, int outputs) {
   const int64_t sums = blocks == 1 ? from : blocks * ((from + kVector - 1) / kVector * kVector);
   const auto filters = static_cast<double>(sums * to), channels = static_cast<double>(sums + to);
   const auto frequencies = static_cast<double>(side * side);
-  const double each = pass == ConvPass::kWeightGradient ? kSum * frequencies : kFetch + kFilter * frequencies;
+  const double fetched =
+      kFetch + (tiles < kFewTiles && to >= kManyOutputs ? kFilterNear : kFilter) * frequencies;
+  const double summed = tiles <= kFewSumTiles ? kFetchSum + kSumNear * frequencies : kSum * frequencies;
+  const double each = pass == ConvPass::kWeightGradient ? summed : fetched;
   // Larger tiles go through more registers than there are, and save little: they should be worth their error.
   const double transform = kTile * (outputs == 6 ? 2.4 : 1.0);
   return filters * (frequencies * tiles / 0.88 + each) + frequencies * tiles * channels * transform;
@@ -128,7 +134,7 @@ void ConvPlan::load(std::string_view json, std::string_view source) {
 std::string to_string(const ConvShape& s) {
   return fmt::format("{}x{}x{}x{} -> {}, kernel {}x{}, stride {}, padding {}{}{}", s.n, s.h, s.w, s.in, s.out,
                      s.kernel_h, s.kernel_w, s.stride, s.padding, s.reflect ? " mirrored" : "",
-                     s.eighths == 8 ? "" : fmt::format(", {}/8 of the pixels", s.eighths));
+                     s.sixteenths == 16 ? "" : fmt::format(", {}/16 of the pixels", s.sixteenths));
 }
 
 ConvShape parse_conv_shape(std::string_view text) {
@@ -140,14 +146,14 @@ ConvShape parse_conv_shape(std::string_view text) {
       std::sscanf(line.c_str(), "%lldx%lldx%lldx%lld -> %lld, kernel %lldx%lld, stride %lld, padding %lld%n",
                   &v[0], &v[1], &v[2], &v[3], &v[4], &v[5], &v[6], &v[7], &v[8], &end);
   std::string_view rest = read == 9 ? std::string_view(line).substr(static_cast<size_t>(end)) : "?";
-  int64_t eighths = 8;
-  constexpr std::string_view kOfPixels = "/8 of the pixels";
-  if (rest.ends_with(kOfPixels) && rest.size() >= kOfPixels.size() + 3) {
-    rest.remove_suffix(kOfPixels.size());
-    eighths = rest.back() - '0';
-    rest.remove_suffix(1);
-    const bool sound = eighths >= 0 && eighths < 8 && rest.ends_with(", ");
-    rest = sound ? rest.substr(0, rest.size() - 2) : "?";
+  long long parts = 16, of = 16;
+  if (const size_t comma = rest.find(", "); comma != std::string_view::npos) {
+    const std::string share(rest.substr(comma));
+    end = -1;
+    std::sscanf(share.c_str(), ", %lld/%lld of the pixels%n", &parts, &of, &end);
+    const bool sound =
+        end == static_cast<int>(share.size()) && (of == 16 || of == 8) && parts >= 0 && parts < of;
+    rest = sound ? rest.substr(0, comma) : "?";
   }
   if (read != 9 || (!rest.empty() && rest != " mirrored") ||
       std::any_of(std::begin(v), std::end(v),
@@ -164,7 +170,7 @@ ConvShape parse_conv_shape(std::string_view text) {
        .stride = v[7],
        .padding = v[8],
        .reflect = !rest.empty(),
-       .eighths = eighths};
+       .sixteenths = parts * 16 / of};
   return s;
 }
 

@@ -21,9 +21,9 @@ struct ConvShape {
   int64_t out = 0, kernel_h = 0, kernel_w = 0;
   int64_t stride = 1, padding = 0;
   bool reflect = false;
-  /// The share of the input's pixels that exist, rounded up to eighths: all that choosing an algorithm knows
-  /// of active sites.
-  int64_t eighths = 8;
+  /// The share of the input's pixels that exist, rounded up to sixteenths: all that choosing an algorithm
+  /// knows of active sites.
+  int64_t sixteenths = 16;
 
   auto operator<=>(const ConvShape&) const = default;
   int64_t out_h() const { return (h + 2 * padding - kernel_h) / stride + 1; }
@@ -38,8 +38,8 @@ struct ConvShape {
   }
 };
 
-/// "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1 mirrored, 3/8 of the pixels"; back from it, or an
-/// Error.
+/// "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1 mirrored, 3/16 of the pixels"; back from it, or an
+/// Error. Reads eighths, too, which earlier plans have.
 std::string to_string(const ConvShape& s);
 ConvShape parse_conv_shape(std::string_view text);
 

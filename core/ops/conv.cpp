@@ -54,11 +54,11 @@ std::vector<kernels::Part<T>> channel_parts(std::span<const Tensor> parts) {
   return result;
 }
 
-/// The share of the pixels that exist, rounded up to eighths.
-int64_t eighths_of(const std::shared_ptr<const ActiveSites>& sites) {
-  if (!sites) return 8;
+/// The share of the pixels that exist, rounded up to sixteenths.
+int64_t sixteenths_of(const std::shared_ptr<const ActiveSites>& sites) {
+  if (!sites) return 16;
   const int64_t all = sites->n() * sites->h() * sites->w();
-  return all == 0 ? 8 : (8 * sites->count() + all - 1) / all;
+  return all == 0 ? 16 : (16 * sites->count() + all - 1) / all;
 }
 
 /// The sites of the result: the input's, or those of half the size.
@@ -113,7 +113,7 @@ Tensor conv2d(std::span<const Tensor> parts, const Tensor& weight, const Tensor&
                              .stride = options.stride,
                              .padding = options.padding,
                              .reflect = reflect,
-                             .eighths = eighths_of(x_sites)};
+                             .sixteenths = sixteenths_of(x_sites)};
   if (s.h + 2 * s.padding < s.kernel_h || s.w + 2 * s.padding < s.kernel_w) {
     fail("conv2d", "input {} with padding {} is smaller than the kernel {}x{}", to_string(x.shape()),
          s.padding, s.kernel_h, s.kernel_w);

@@ -42,7 +42,7 @@ TEST_CASE("numerics admit algorithms by their error") {
   CHECK(choose_algorithm(layer(1, 4, 512, 512), ConvPass::kWeightGradient, Numerics::kBalanced) == 2);
   ConvShape part = layer(2, 32, 512, 512);
   CHECK(choose_algorithm(part, ConvPass::kWeightGradient, Numerics::kBalanced) == 4);
-  part.eighths = 1;
+  part.sixteenths = 1;
   CHECK(choose_algorithm(part, ConvPass::kWeightGradient, Numerics::kBalanced) == 2);
 }
 
@@ -104,13 +104,18 @@ TEST_CASE("a shape goes through text") {
   s.reflect = true;
   s.stride = 2;
   CHECK(parse_conv_shape(to_string(s)) == s);
-  s.eighths = 3;
+  s.sixteenths = 3;
   CHECK(parse_conv_shape(to_string(s)) == s);
   s.reflect = false;
   CHECK(parse_conv_shape(to_string(s)) == s);
+  s.sixteenths = 6;  // plans of earlier versions counted eighths
+  CHECK(parse_conv_shape("2x9x9x21 -> 64, kernel 3x3, stride 2, padding 1, 3/8 of the pixels") == s);
   for (const std::string& text : std::vector<std::string>{
            "", "2x64x64x256", "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1 reflected",
            "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1, 9/8 of the pixels",
+           "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1, 16/16 of the pixels",
+           "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1, 3/12 of the pixels",
+           "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1, 3/16 of the pixels, and more",
            "2x64x64x256 -> 256, kernel 3x3, stride 1, padding 1 mirrored3/8 of the pixels",
            "2x64x64x-1 -> 256, kernel 3x3, stride 1, padding 1"}) {
     INFO(text);
